@@ -6,6 +6,8 @@ scenario without its effects and without what was drawn, as a mission knows its 
 
 from __future__ import annotations
 
+import csv
+import io
 import json
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -28,6 +30,7 @@ from fluxtwin.sim.base.workers import answers, require_workers
 from fluxtwin.sim.run.ensemble.draws import flattened
 from fluxtwin.sim.run.ensemble.plan import Plan, make_plan, require_same, write_record
 from fluxtwin.sim.scenario.scenario import Scenario
+from fluxtwin.sim.telemetry.formats.table import extra
 
 RECORD, RUNS, SUMMARY = "campaign.json", "runs.csv", "summary.json"
 _IN_PART = 4
@@ -216,14 +219,17 @@ def _words(seconds: float) -> str:
 
 
 def _write_table(runs: Sequence[Run], path: Path) -> None:
-    """A row a run: what was drawn, what was in it, what was said; also as Parquet where pyarrow is there."""
-    import importlib.util
+    """A row a run: what was drawn, what was in it, what was said; also as Parquet where pandas and pyarrow are there."""
+    from importlib.util import find_spec
 
-    import pandas as pd
-
-    table = pd.DataFrame([dict(_cells(run)) for run in runs])
-    files.write_text(path, table.to_csv(index=False, lineterminator="\n"))
-    if importlib.util.find_spec("pyarrow"):
+    rows = [dict(_cells(run)) for run in runs]
+    text, names = io.StringIO(), list(dict.fromkeys(name for row in rows for name in row))
+    writer = csv.DictWriter(text, names, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows({name: "" if value != value else value for name, value in row.items()} for row in rows)
+    files.write_text(path, text.getvalue())
+    if find_spec("pyarrow") and find_spec("pandas"):
+        table = extra("pandas", "parquet", path).DataFrame(rows)
         files.write_with(path.with_suffix(".parquet"), lambda temporary: table.to_parquet(temporary, index=False))
 
 

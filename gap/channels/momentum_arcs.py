@@ -270,11 +270,13 @@ def arcs(problem: Problem, craft: Craft, orbit: tuple[FloatArray, FloatArray]) -
 def _filled(t: FloatArray, values: FloatArray, *, straight: bool) -> FloatArray:
     """(N, k) with the blanks of sensors that sample at their own rate filled: straight between two values, or the value
     before. Before the first value and after the last one nothing is known."""
-    import pandas as pd
-
-    found = pd.DataFrame(np.array(values, dtype=np.float64), index=t)
-    filled = found.interpolate("index", limit_area="inside") if straight else found.ffill(limit_area="inside")
-    return np.asarray(filled.to_numpy())
+    filled = np.full(values.shape, np.nan)
+    for column, given in enumerate(values.T):
+        if (known := np.flatnonzero(np.isfinite(given))).size:
+            rows = np.arange(known[0], known[-1] + 1)
+            before = known[np.searchsorted(known, rows, side="right") - 1]
+            filled[rows, column] = np.interp(t[rows], t[known], given[known]) if straight else given[before]
+    return filled
 
 
 def _spacing_s(t: FloatArray, values: FloatArray) -> float:

@@ -266,7 +266,9 @@ class Signal:
             turn, turns = Rotation.from_rotvec(theta_B_rad), dict(self.measured_turns)
             if sensor is not None:
                 turns[sensor] = turn * turns[sensor] if sensor in turns else turn
-            return dataclasses.replace(self, R_reported_BN=frames.product(turn, self.R_reported_BN), measured_turns=turns)
+            return dataclasses.replace(
+                self, R_reported_BN=frames.product(turn, self.R_reported_BN), measured_turns=turns
+            )
         if self.setting.attitude_known is not None:
             theta_B_rad = np.where(self.setting.attitude_known[:, None], theta_B_rad, 0.0)  # nothing was reported
         return dataclasses.replace(self, R_BN=frames.product(Rotation.from_rotvec(-theta_B_rad), self.R_BN))

@@ -274,9 +274,7 @@ def _surroundings(
             with_sun=with_sun,
             with_air=with_air,
         )
-        _around[key] = _Around(
-            environment, frames.rotation_ON(*along(first)), ephemeris_rate_O_rad_s(along, first)[0]
-        )
+        _around[key] = _Around(environment, frames.rotation_ON(*along(first)), ephemeris_rate_O_rad_s(along, first)[0])
         while len(_around) > 1 and sum(len(one.environment.nodes) for one in _around.values()) > _KEPT_NODES:
             _around.popitem(last=False)
     _around.move_to_end(key)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, TypedDict
+from typing import Any, Protocol, TypeAlias, TypedDict
 
 import numpy as np
 
@@ -17,8 +17,12 @@ from fluxtwin.sim.telemetry.formats.catalogue import READ, format_of, table_of
 from fluxtwin.sim.telemetry.formats.table import Table, contract
 from fluxtwin.sim.telemetry.record import Telemetry
 
-if TYPE_CHECKING:
-    from pandas import DataFrame
+
+class DataFrame(Protocol):
+    """What is needed of pandas' table; pandas need not be installed."""
+
+    columns: Any
+    attrs: Any
 
 
 class Dataset(Protocol):

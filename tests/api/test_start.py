@@ -24,12 +24,13 @@ import sys
 from fluxtwin.sim.run.ensemble import chunk, plan
 from fluxtwin.sim.scenario.scenario import load_scenario
 from fluxtwin.sim.run.simulate import simulate
-from fluxtwin.sim.telemetry.telemetry_files import write_telemetry
+from fluxtwin.sim.telemetry.telemetry_files import read_telemetry, write_telemetry
 scenario = load_scenario({str(EXAMPLE)!r})
 first = scenario.schedule.segments[0].model_dump(exclude_none=True) | {{"duration_min": 10.0}}
 scenario = scenario.updated({{"schedule.segments": (first,)}})
 telemetry, truth = simulate(scenario)
-write_telemetry(telemetry, {str(tmp_path / "t.nc")!r})
+for name in ({str(tmp_path / "t.nc")!r}, {str(tmp_path / "t.csv")!r}):
+    read_telemetry(write_telemetry(telemetry, name))
 truth.write({str(tmp_path / "truth.nc")!r})
 whole = plan.Plan(scenario, 1, 2, 1)
 chunk.write_chunk(whole, chunk.Flyer(whole).chunk(0), __import__("pathlib").Path({str(tmp_path)!r}), 0)
@@ -37,4 +38,4 @@ print(sorted(set({SLOW!r}) & set(sys.modules)))
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.splitlines()[-1] == "[]"
-    assert {path.name for path in tmp_path.iterdir()} == {"t.nc", "truth.nc", "chunk-00000.nc"}
+    assert {path.name for path in tmp_path.iterdir()} == {"t.nc", "t.csv", "truth.nc", "chunk-00000.nc"}

@@ -11,6 +11,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 from jsonschema import Draft202012Validator
 from scipy.spatial.transform import Rotation
@@ -18,7 +19,7 @@ from worlds import scenario_text
 
 from fluxtwin import diagnosing, diagnosis_page
 from fluxtwin.gap.channels.momentum import MomentumChannel
-from fluxtwin.gap.channels.momentum_arcs import Arcs, Craft, arcs, windows
+from fluxtwin.gap.channels.momentum_arcs import Arcs, Craft, _filled, arcs, windows
 from fluxtwin.gap.channels.momentum_images import plain_torques
 from fluxtwin.gap.posterior.torques import Momentum, balanced
 from fluxtwin.gap.problem.problem import Budget, Problem, pose
@@ -412,3 +413,14 @@ def test_without_what_it_needs_nothing_changes_and_the_reason_is_said() -> None:
         assert set(found.untestable) == names
     short = alone(telemetry.select(slice(0, 30)), scenario)
     assert "too short" in short.untestable["eddy_torque"]
+
+
+def test_blanks_are_filled_as_pandas_fills_them() -> None:
+    rng = np.random.default_rng(1)
+    for rows in (1, 2, 5, 40):
+        t, values = np.cumsum(rng.uniform(0.1, 3.0, rows)), rng.normal(size=(rows, 3))
+        values[rng.random(values.shape) < [0.3, 0.8, 1.0]] = np.nan
+        table = pd.DataFrame(values, index=t)
+        straight, held = table.interpolate("index", limit_area="inside"), table.ffill(limit_area="inside")
+        assert np.array_equal(_filled(t, values, straight=True), straight.to_numpy(), equal_nan=True)
+        assert np.array_equal(_filled(t, values, straight=False), held.to_numpy(), equal_nan=True)

@@ -20,6 +20,10 @@ _NO_ZONE = "column {} has no zone: taken as UTC"
 _CF_UNITS = {"degree s-1": "deg_s", "km s-1": "km_s", "degree": "deg", "A m2": "Am2", "degree_Celsius": "degC"}
 
 
+def _pandas() -> Any:
+    return extra("pandas", "pandas", "a DataFrame")
+
+
 def of_file(path: Path, what: str, ending: str, unpack: Callable[[bytes], Any]) -> Table:
     """The columns of a file whose bytes `unpack` makes a DataFrame of. Raises BadInput where it cannot, as it says or in
     general words: the packages for such files raise whatever they meet."""
@@ -40,8 +44,7 @@ def of_pandas(frame: Any, where: str = "DataFrame") -> Table:
 
     Stamps with a zone are taken to UTC. Raises BadInput for columns of other things than numbers, stamps and text.
     """
-    import pandas as pd
-
+    pd = _pandas()
     columns: dict[str, np.ndarray] = {}
     units = dict(frame.attrs.get("units", {}))
     if not frame.columns.is_unique:
@@ -84,8 +87,7 @@ def of_xarray(dataset: Any, where: str = "Dataset") -> Table:
 
 def to_pandas(telemetry: Telemetry) -> Any:
     """A DataFrame with the record's columns, units in their names, time [UTC] as its index; provenance in `attrs`."""
-    import pandas as pd
-
+    pd = _pandas()
     index = pd.DatetimeIndex(telemetry.time, name="time").tz_localize("UTC")
     frame = pd.DataFrame(dict(file_columns(telemetry)), index=index, copy=False)
     frame.attrs.update(_attributes(telemetry))
@@ -126,8 +128,7 @@ def _stated(attributes: Mapping[Any, Any]) -> dict[str, str]:
 
 def _stamped(frame: Any) -> dict[str, Any]:
     """The columns of stamps that are taken as `time`, by name."""
-    import pandas as pd
-
+    pd = _pandas()
     index = frame.index
     found = {"time": index.to_series()} if isinstance(index, pd.DatetimeIndex) and "time" not in frame.columns else {}
     if "time" in frame.columns and pd.api.types.is_datetime64_any_dtype(frame["time"].dtype):
@@ -136,8 +137,7 @@ def _stamped(frame: Any) -> dict[str, Any]:
 
 
 def _column(series: Any, name: str, where: str) -> np.ndarray:
-    import pandas as pd
-
+    pd = _pandas()
     if pd.api.types.is_datetime64_any_dtype(series.dtype):
         return _stamps(series, name, where)
     if pd.api.types.is_numeric_dtype(series.dtype) or pd.api.types.is_bool_dtype(series.dtype):
@@ -154,6 +154,5 @@ def _column(series: Any, name: str, where: str) -> np.ndarray:
 
 
 def _stamps(series: Any, name: str, where: str) -> np.ndarray:
-    import pandas as pd
-
+    pd = _pandas()
     return in_ns(pd.to_datetime(series, utc=True).dt.tz_localize(None).to_numpy(), name, where)

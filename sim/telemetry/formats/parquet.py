@@ -17,7 +17,7 @@ from fluxtwin.sim.telemetry.record import Telemetry
 def read(path: Path, max_samples: int = MAX_SAMPLES) -> Table:
     """The columns of a Parquet file."""
     pyarrow = extra("pyarrow.parquet", "parquet", path)
-    import pandas as pd
+    pd = extra("pandas", "parquet", path)
 
     def unpack(content: bytes) -> Any:
         about = pyarrow.read_metadata(io.BytesIO(content))

@@ -29,8 +29,7 @@ _MOST_ROWS = 1_048_575  # of a sheet, beside the header
 def read(path: Path, max_samples: int = MAX_SAMPLES, sheet: str | None = None) -> Table:
     """One sheet, the first where none is named. Stamps may be cells of dates (to a millisecond) or text."""
     extra("openpyxl", "xlsx", path)
-    import pandas as pd
-
+    pd = extra("pandas", "xlsx", path)
     there: list[str] = []
 
     def unpack(content: bytes) -> Any:
@@ -52,8 +51,7 @@ def read(path: Path, max_samples: int = MAX_SAMPLES, sheet: str | None = None) -
 def sheets(path: Path) -> list[str]:
     """Their names; none of a file that is damaged: whatever is wrong with it, `read` says so."""
     extra("openpyxl", "xlsx", path)
-    import pandas as pd
-
+    pd = extra("pandas", "xlsx", path)
     try:
         content = content_of(path)[0]
         _require_sane(content, MAX_SAMPLES, str(path))

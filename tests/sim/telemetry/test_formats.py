@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -375,3 +376,12 @@ def test_info_says_where_an_attitude_goes(tmp_path: Path) -> None:
     (tmp_path / "a.aem").write_text(AEM, encoding="utf-8")
     found = fluxtwin.info(tmp_path / "a.aem")
     assert "--attitude" in found.unread and [column.name for column in found.columns][-1] == "q_w"
+
+
+def test_without_pandas_a_csv_is_read_and_the_rest_says_what_to_install(
+    record: fluxtwin.Telemetry, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "pandas", None)  # as if it were not installed
+    assert len(fluxtwin.read(fluxtwin.write(record, tmp_path / "t.csv"))) == len(record)
+    with pytest.raises(BadInput, match=r"the package pandas is needed.*fluxtwin\[pandas\]"):
+        record.to_pandas()

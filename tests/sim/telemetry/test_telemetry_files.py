@@ -562,3 +562,16 @@ def test_records_with_other_drivers_join_unless_their_units_differ() -> None:
     assert joined.driver_units == {"payload": "A"}
     with pytest.raises(BadInput, match=r"driver_payload: is in A in one record, in mA in another"):
         concatenate([first, second.replace(driver_units={"payload": "mA"})])
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.9, 1.0])
+def test_numbers_and_blanks_of_a_csv_are_those_of_another_parser(tmp_path: Path, share: float) -> None:
+    """Python's, to the bit: blanks at both ends of a row and side by side, every form of a number."""
+    rng, forms = np.random.default_rng(1), (repr, "{:.3e}".format, "{:+.17g}".format, "{:.0f}".format, " {:f} ".format)
+    rows = [[forms[rng.integers(len(forms))](v) for v in row.tolist()] for row in rng.normal(0.0, 1e5, (60, 4))]
+    rows = [["" if rng.random() < share else cell for cell in row] for row in rows]
+    path = save(tmp_path, ["a,b,c,d", *map(",".join, rows)])
+    found = telemetry_csv.open_csv(path).numbers(["d", "a", "c"])
+    for name, values in found.items():
+        witness = [float(row["abcd".index(name)] or "nan") for row in rows]
+        assert np.array_equal(values, witness, equal_nan=True)

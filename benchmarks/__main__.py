@@ -100,6 +100,7 @@ def step(asked: Asked) -> Iterator[Line]:
     most = ", ".join(f"{name} {seconds / whole:.0%}" for name, seconds in sorted(parts.items(), key=lambda p: -p[1]))
     if "ratio_vs_basilisk" in record:
         ratio = record["ratio_vs_basilisk"]
+        most += f"; orbit and field at each step, as Basilisk, {record['each_step_ratio_vs_basilisk']:.3g} x"
         yield Line("attitude, field and reading against Basilisk", f"{ratio:.3g} x", "60 x", ratio >= 60.0, most)
     else:
         yield Line(

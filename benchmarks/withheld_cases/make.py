@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.earth.field_models import FieldModel, load_field
 from fluxtwin.sim.telemetry.telemetry_files import write_telemetry
 from withheld_cases import laws, limits, null_regimes, of_dynamics, undetermined
@@ -52,7 +53,12 @@ def make(root: str, seed: int, population: str, number: int, chaos: str | None) 
         store.write("sealed", name, {"case": name, "population": population, "number": number, "void": str(error)})
         return name
     clean = noise_free(case.world, case.truths)
-    write_telemetry(fly(case.world, case.truths, clean), store.path("telemetry", name))
+    try:
+        flown = fly(case.world, case.truths, clean)
+    except BadInput as error:  # a truth so large that no reading is possible
+        store.write("sealed", name, {"case": name, "population": population, "number": number, "void": str(error)})
+        return name
+    write_telemetry(flown, store.path("telemetry", name))
     store.write("asked", name, question(case))
     sealed = answer(case)
     if case.truths and TWO.get(population, population) != "outside":

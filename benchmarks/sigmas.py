@@ -83,6 +83,11 @@ def attitude(sigma_deg: float, tau_s: float) -> Callable[[Tree], None]:
     return change
 
 
+def declared(sigma_deg: float, tau_s: float) -> dict[str, float]:
+    """As the options of a calibration."""
+    return {"attitude_sigma_deg": sigma_deg, "attitude_tau_s": tau_s}
+
+
 def sensor(noise_nT: float, lsb_nT: float) -> Callable[[Tree], None]:
     """Noise and step of the reading."""
 
@@ -130,12 +135,11 @@ CASES: dict[str, Case] = {
     ),
     "orbit": Case("one orbit, 97 min", lasting(97.0)),
     "slow": Case("attitude 0.3 deg over 1500 s", attitude(0.3, 1500.0)),
+    "slow-declared": Case("the same, declared", attitude(0.3, 1500.0), options=declared(0.3, 1500.0)),
     "slower": Case("attitude 0.5 deg over 6000 s", attitude(0.5, 6000.0)),
+    "slower-declared": Case("the same, declared", attitude(0.5, 6000.0), options=declared(0.5, 6000.0)),
     "drawn": Case(
         "attitude 0.5 deg, time constant drawn between 10 s and 5 h", attitude(0.5, 300.0), drawn_tau_s=(10.0, 18_000.0)
-    ),
-    "slower-declared": Case(
-        "the same, declared", attitude(0.5, 6000.0), options={"attitude_sigma_deg": 0.5, "attitude_tau_s": 6000.0}
     ),
     "white": Case("attitude 0.1 deg, white", attitude(0.1, 0.0)),
     "scalar": Case("tumbling, method scalar", tumbling, "scalar"),

@@ -12,7 +12,9 @@ sigma_theta from 1e-7 rad to 6 deg, h likewise; or about what was declared. What
 the record, which is a misalignment to these data, goes with its time constant, and a record of few time constants hardly
 determines that. Its prior is therefore the reference prior, the root of the information that such a record has of sigma,
 tau and white noise beside what is fitted (Berger, De Oliveira & Sanso 2001, J. Am. Stat. Assoc. 96, 1361), with which
-intervals cover about as often as they say whatever is true. That of h is flat up to the longest unbroken stretch.
+intervals cover about as often as they say whatever is true. It is taken at the sigma that would explain the whole
+residual, and so does not depend on how much of the error the fit calls slow. That of h is flat up to the longest
+unbroken stretch.
 
 The posterior is sampled by an adaptive Metropolis chain (Haario, Saksman & Tamminen 2001, Bernoulli 7, 223) with a fixed
 seed; covariances are means over it, so that they widen where the record does not separate sigma and tau.
@@ -229,8 +231,7 @@ class _Likelihood:
         The attitude's sigma and tau are moved together, the others apart, or one size or time constant is drawn anew.
         """
         if self.log_tau is None and not self.white:
-            factor = self(p)[1]
-            self.prior = self._reference_prior(float(np.exp(p[0])) * factor, factor)
+            self.prior = self._reference_prior(self(p)[1])
         n = _BURN + _KEPT
         rng = np.random.default_rng(0)  # the same record, the same answer
         kind, step, coordinate = rng.uniform(size=n), rng.normal(size=(n, 3)), rng.integers(5, size=n)
@@ -297,11 +298,13 @@ class _Likelihood:
             factors.append(np.interp(tau, nodes[inside], found[inside, 1]))
         return (np.concatenate(out), np.concatenate(factors)) if out else (points, chain)
 
-    def _reference_prior(self, theta: float, factor: float) -> tuple[FloatArray, FloatArray]:
-        """(n,) logarithms of tau and of the root of the determinant of the information about theta, tau and the white
+    def _reference_prior(self, factor: float) -> tuple[FloatArray, FloatArray]:
+        """(n,) logarithms of tau and of the root of the determinant of the information about sigma, tau and the white
         noise that is left when the fit and a constant attitude have taken their part.
 
-        theta: of unit tau [rad], as p[0]. Few cells suffice: a long tau, which they are for, acts on all of them.
+        sigma is that of an attitude error that would explain the whole residual: the information about one that hardly
+        shows is greatest for time constants near the length of the record, which is no reason to expect them. Few cells
+        suffice: a long tau, which they are for, acts on all of them.
         """
         of = self.of
         every = -(-len(of.seconds) // _INFORMED)
@@ -311,14 +314,15 @@ class _Likelihood:
         taken = np.hstack([columns.reshape(size, -1), image.reshape(size, 3)])
         left = null_space((taken / np.linalg.norm(taken, axis=0)).T, rcond=1e-4)
         apart = np.abs(seconds[:, None] - seconds)
-        both = theta**2 * np.einsum("kin,ljn->kilj", image, image)
+        sigma2 = 1.5 * (self.rms_nT / self.field) ** 2  # of the three components, two are across the field
+        both = sigma2 * np.einsum("kin,ljn->kilj", image, image)
         white = left.T @ block_diag(*(self.cells[2][cells] * factor**2 / every)) @ left
         logs, values = np.linspace(self.low[1], self.high[1], _INFORMED_TAUS), []
         for tau in np.exp(logs):
-            kernel = tau * np.exp(-apart / tau)
-            turned, slower = (
+            x = apart / tau
+            turned, slower = (  # less a constant, which is taken
                 left.T @ (both * part[:, None, :, None]).reshape(size, size) @ left
-                for part in (kernel, kernel * (1.0 + apart / tau))
+                for part in (np.expm1(-x), x * np.exp(-x))
             )
             total = white + turned  # without noise of full rank only to rounding
             root = np.linalg.cholesky(total + 1e-9 * np.trace(total) / len(total) * np.eye(len(total)))

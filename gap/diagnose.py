@@ -112,9 +112,10 @@ def diagnose(
     if problem.axes is not None:
         facts["without_attitude"] = problem.axes.words
         notes.append(problem.axes.words)
-    if answer.robust.components_cut:
-        facts["outliers"] = words.outliers(problem.time, answer.robust.cut)
-        notes.append(words.outliers(problem.time, answer.robust.cut))
+    counted, robust = work.every_row
+    if robust.components_cut:
+        facts["outliers"] = words.outliers(counted.time, robust.cut)
+        notes.append(words.outliers(counted.time, robust.cut))
     if work.apart is not None:
         gone = [name for name, why in problem.ruled_out.items() if why in (words.DENIED_SENSOR, words.DENIED_SHARED)]
         differ = work.differ is not None and work.differ.structured
@@ -216,9 +217,12 @@ def investigate(
     waveforms = Structured(problem, dictionary, known)
     answer = waveforms.with_line(waveforms.among(answer), fast)
     result = answer.result
+    every_row = (problem, answer.robust)
     rows = (problem, answer.whitener, answer.robust, result.residual_nT, answer.fitted_nT)
     if fast is not None:
         rows = (fast.problem, fast.whitener, fast.robust, fast.residual_nT, fast.fitted_nT)
+        if whole is not None and len(whole) <= MOST_ROWS_FAST:
+            every_row = (fast.problem, fast.robust)
     found = (*answer.shapes, *(() if coarser is None else (coarser,)))
     findings = in_the_readings(*rows, answer.left.structured, found)
     flexible = tuple(one for one in findings if one.confirmed)
@@ -230,6 +234,7 @@ def investigate(
         problem=problem,
         answer=answer,
         flexible=flexible,
+        every_row=every_row,
         minimum_detectable=_minimum_detectable(problem, answer),
         loud=next((one.words for one in findings if one.name == "excess_noise" and not one.confirmed), None),
         where=_place(problem, answer, dictionary, other),

@@ -16,6 +16,7 @@ from fluxtwin.gap.detectors.finding import Finding
 from fluxtwin.gap.detectors.proposals import expected
 from fluxtwin.gap.detectors.residual_structure import Structure
 from fluxtwin.gap.held_out.held_out import Prediction
+from fluxtwin.gap.noise.choice import RobustRows
 from fluxtwin.gap.posterior.explanations import Answer
 from fluxtwin.gap.posterior.stated import as_stated
 from fluxtwin.gap.posterior.torques import Momentum
@@ -46,6 +47,8 @@ class Work:
     answer: Answer
     flexible: tuple[Finding, ...]
     """Those that are confirmed."""
+    every_row: tuple[Problem, RobustRows]
+    """The rows among which wild readings are counted: those of the record, where not only some of them were looked at."""
     loud: str | None
     """Words for white noise above its budget that is not like noise."""
     minimum_detectable: Mapping[str, Detectable]
@@ -184,7 +187,7 @@ def _conclude(work: Work) -> _Conclusion:
     if not unexplained and excess is None and work.loud is not None:
         excess = Excess("sensor", work.loud)
     bits = any(one.name == "bit_errors" for one in work.flexible)
-    outliers = None if bits else level.outliers(problem, answer.robust)
+    outliers = None if bits else level.outliers(*work.every_row)
     if work.stuck is not None:
         outliers = Excess("telemetry", "; ".join([work.stuck, *([] if outliers is None else [outliers.words])]))
     beyond = None if unexplained or effects else excess or outliers

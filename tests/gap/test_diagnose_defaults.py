@@ -125,6 +125,18 @@ def test_outliers_are_a_finding(record: Telemetry) -> None:
     assert "apart from these rows there is no gap" in found.sentence
 
 
+def test_outliers_of_a_long_record_are_counted_in_every_row() -> None:
+    """One row in two is enough for what is slow; wild readings stand in any."""
+    segment = {"start_utc": "2026-03-01T00:00:00Z", "step_s": 5.0, "samples": 6000}
+    record = simulate(readme_scenario().updated({"schedule.segments": [segment]}))[0]
+    reading, rows = np.array(record.mag_B_nT), np.arange(101, 5900, 645)
+    assert {*(rows % 2)} == {0, 1}
+    reading[rows, rows % 3] += 8000.0
+    found = asked(record.replace(mag_B_nT=reading), DECLARED)
+    assert found.provenance["rows_thinned_by"] == 2
+    assert f"{rows.size} rows have outliers of more than six sigma" in found.sentence
+
+
 def test_a_stuck_axis_is_a_finding_and_no_effect(record: Telemetry) -> None:
     """One axis repeats for half an hour: attitude_step and switched_field describe it well, and neither is there."""
     reading = np.array(record.mag_B_nT)

@@ -36,7 +36,7 @@ def check_page(
 
 def verdict(found: CheckReport) -> str:
     """In a sentence."""
-    said = "no trap found" if not found.traps else f"{len(found.traps)} found: {', '.join(t.code for t in found.traps)}"
+    said = found.clean if not found.traps else f"{len(found.traps)} found: {', '.join(t.code for t in found.traps)}"
     return f"{found.source}: {found.samples} rows; {said}"
 
 

@@ -102,4 +102,4 @@ def _print(output: Output, title: str, report: CheckReport) -> None:
         if finding.severity != "note" or not manners.quiet:
             output.prose(f"  {finding.severity} {finding.code}: {finding.text}{place}", indent="    ")
     if not report.traps:
-        output.say("  clean: no trap found")
+        output.prose(f"  {report.clean}", indent="  ")

@@ -52,6 +52,13 @@ class CheckReport(Shown):
         return tuple(finding for finding in self.findings if finding.severity == "note")
 
     @property
+    def clean(self) -> str:
+        """What it means that no trap was named, in words."""
+        if any(finding.code == "not_compared" for finding in self.notes):
+            return "no trap found, but without positions nothing was compared with the field model: add them, and check again"
+        return "clean: no trap found"
+
+    @property
     def exit_status(self) -> int:
         """0 clean, 1 a trap was named."""
         return 1 if self.traps else 0

@@ -379,6 +379,15 @@ def test_what_cannot_be_tested_is_said(model: FieldModel) -> None:
     assert "outside_field_model" in {finding.code for finding in far.traps}
 
 
+def test_what_was_not_compared_is_not_called_clean(model: FieldModel) -> None:
+    record = good(model)
+    assert check_telemetry(record, model).clean == "clean: no trap found"
+    without = check_telemetry(record.replace(r_N_km=None, v_N_km_s=None), model)
+    assert (
+        not without.traps and "without positions nothing was compared" in without.clean and "clean" not in without.clean
+    )
+
+
 def test_missing_rows_and_gaps_are_notes(model: FieldModel) -> None:
     record = good(model, 4)
     mag, keep = np.array(record.mag_B_nT), np.ones(600, dtype=bool)

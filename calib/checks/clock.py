@@ -51,6 +51,8 @@ ROWS_AT_ONCE = 10_000
 """Shifts are tried together up to so many rows: a call for each would cost more than the field itself."""
 BLOCKS = 100
 """Means over so many stretches of the record are compared: 14 minutes each in a day."""
+ROLLOVER_S = 1024 * 7 * 86400.0
+"""After which the ten bits of a GPS week begin again (IS-GPS-200, section 20.3.3.3.1.1)."""
 
 
 def shifts_s(sample: Sample) -> dict[float, str]:
@@ -65,6 +67,7 @@ def shifts_s(sample: Sample) -> dict[float, str]:
     out = {hours * 3600.0: "a time zone" for hours in HOURS}
     for seconds, words in leaps.items():
         out |= {seconds: words, -seconds: f"{words}, taken twice or with the wrong sign"}
+    out[-ROLLOVER_S] = "the GPS week counts to 1023 and began again"
     return out | {86400.0: "a day", -86400.0: "a day"}
 
 
@@ -173,8 +176,8 @@ def named_shift(shift_s: float, words: str, as_is_nT: float, mended_nT: float) -
     """The sentence that names a shift."""
     return (
         f"the stamps are {shift_words(shift_s)} too {'late' if shift_s > 0 else 'early'} ({words}): as they stand the "
-        f"reading misses the model by {as_is_nT:.0f} nT rms after a fit, with {-shift_s:+g} s by {mended_nT:.0f} nT. Add it "
-        f"in a column map: time.offset_s = {-shift_s:g}"
+        f"reading misses the model by {as_is_nT:.0f} nT rms after a fit, with {-shift_s:+.10g} s by {mended_nT:.0f} nT. "
+        f"Add it in a column map: time.offset_s = {-shift_s:.10g}"
     )
 
 
@@ -271,6 +274,8 @@ def readings_shift(sample: Sample, telemetry: Telemetry, model: FieldModel) -> t
 def shift_words(shift_s: float) -> str:
     """Its size, without the sign."""
     size = abs(shift_s)
+    if size == ROLLOVER_S:
+        return "1024 weeks"
     if size == 86400.0:
         return "1 day"
     if size % 1800.0 == 0.0:

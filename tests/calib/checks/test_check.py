@@ -379,6 +379,13 @@ def test_what_cannot_be_tested_is_said(model: FieldModel) -> None:
     assert "outside_field_model" in {finding.code for finding in far.traps}
 
 
+def test_a_week_that_began_again_is_named(model: FieldModel) -> None:
+    record = good(model, 4)
+    found = check_telemetry(record.replace(time=record.time - np.timedelta64(1024, "W")), model)
+    assert [finding.code for finding in found.traps] == ["clock"]
+    assert "1024 weeks too early" in found.traps[0].text and "time.offset_s = 619315200" in found.traps[0].text
+
+
 def test_what_was_not_compared_is_not_called_clean(model: FieldModel) -> None:
     record = good(model)
     assert check_telemetry(record, model).clean == "clean: no trap found"

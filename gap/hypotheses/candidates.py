@@ -21,6 +21,10 @@ from fluxtwin.sim.effects.catalogue import CATALOGUE
 from fluxtwin.sim.effects.chain import Active, Chain, jacobian
 from fluxtwin.sim.effects.digits import BitErrors
 
+OF_ERRORS = (
+    "its signature, beyond the calibration, comes mostly from errors of the reference attitude: "
+    "the body would have to turn further"
+)
 _DEAD_NT = 1e-6  # a parameter of its typical size that moves the readings by less is not there
 
 
@@ -85,10 +89,7 @@ def candidates(problem: Problem, perturbed: PerturbedDesign | None = None) -> tu
             )
         firm = [candidate for candidate in testable if candidate.change <= MOST_CHANGED]
         if testable and not firm:
-            untestable[effect.name] = (
-                "its signature, beyond the calibration, comes mostly from errors of the reference attitude: "
-                "the body would have to turn further"
-            )
+            untestable[effect.name] = OF_ERRORS
         found += firm
     return found, untestable
 

@@ -16,6 +16,7 @@ from fluxtwin.gap.detectors.finding import Finding
 from fluxtwin.gap.detectors.proposals import expected
 from fluxtwin.gap.detectors.residual_structure import Structure
 from fluxtwin.gap.held_out.held_out import Prediction
+from fluxtwin.gap.hypotheses.candidates import OF_ERRORS
 from fluxtwin.gap.noise.choice import RobustRows
 from fluxtwin.gap.posterior.explanations import Answer
 from fluxtwin.gap.posterior.stated import as_stated
@@ -214,7 +215,11 @@ def _sentence(work: Work, found: _Conclusion, where: Place, gap: Shrinkage, rese
     remains = words.SHAPE_INCOMPLETE if found.excess is None else found.excess.words
     outlying = None if found.outliers is None else found.outliers.words
     own = any(find_effect(name).stage in OWN_STAGES for one in found.effects for name in one.group)
-    return words.named(found.effects, gap, work.momentum.gap, remains, outlying) + ("" if own else _differ(work))
+    said = words.named(found.effects, gap, work.momentum.gap, remains, outlying) + ("" if own else _differ(work))
+    after = {one.condition for one in found.effects} - {None}
+    unseen = [name for name, why in work.answer.result.untestable.items() if why == OF_ERRORS]
+    alike = [name for name in unseen if find_effect(name).follows in after]
+    return said + words.not_tested(alike)
 
 
 def _differ(work: Work) -> str:

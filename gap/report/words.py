@@ -98,6 +98,14 @@ def named(
     return f"The gap is explained by {causes}{_closed(effects, gap, momentum)}.{rest}"
 
 
+def not_tested(names: Sequence[str]) -> str:
+    """Of effects that follow what a named one follows, and that these data cannot test; empty for none."""
+    if not names:
+        return ""
+    which = "which follows" if len(names) == 1 else "which follow"
+    return f" These data cannot test {' and '.join(names)}, {which} the same quantity and may be the cause instead."
+
+
 def _cause(effect: FoundEffect) -> str:
     known = {name: one for name, one in effect.parameters.items() if one.sigma is not None} or effect.parameters
     units = {name: "" if one.unit == "1" else f" {one.unit}" for name, one in known.items()}

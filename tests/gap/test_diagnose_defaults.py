@@ -242,3 +242,10 @@ def test_the_velocity_of_two_rows_is_the_slope_of_their_positions() -> None:
     r_N_km = np.array([[7e3, 0.0, 0.0], [7e3, 15.0, 1.0]])
     two = Telemetry(np.array([0, 2], dtype="datetime64[s]"), np.zeros((2, 3)), r_N_km=r_N_km)
     assert np.array_equal(_velocity(two), [[0.0, 7.5, 0.5]] * 2)
+
+
+def test_what_could_not_be_tested_is_said_beside_what_follows_the_same() -> None:
+    assert words.not_tested([]) == ""
+    one = words.not_tested(["axis_skew"])
+    assert one == " These data cannot test axis_skew, which follows the same quantity and may be the cause instead."
+    assert "which follow the same" in words.not_tested(["axis_skew", "sensor_lag"])

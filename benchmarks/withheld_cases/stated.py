@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from datetime import UTC, datetime
+from pathlib import Path
 
 import numpy as np
 import tomli_w
 from scipy.optimize import isotonic_regression
 
-from fluxtwin.gap.posterior.stated import FIRST, FURTHER, TABLE
 from fluxtwin.sim.base import files
 from withheld_cases.judged import Judged
 
+TABLE = Path(__file__).parents[2] / "gap" / "posterior" / "stated.toml"
+FIRST, FURTHER = "first", "further"
+"""As in the module that reads the table."""
 WHAT = """\
 # How often names were right, by what the posterior gave them. Made by benchmarks/withheld.py --fit; not written by hand.
 """

@@ -55,7 +55,9 @@ class CheckReport(Shown):
     def clean(self) -> str:
         """What it means that no trap was named, in words."""
         if any(finding.code == "not_compared" for finding in self.notes):
-            return "no trap found, but without positions nothing was compared with the field model: add them, check again"
+            return (
+                "no trap found, but without positions nothing was compared with the field model: add them, check again"
+            )
         return "clean: no trap found"
 
     @property

@@ -215,7 +215,7 @@ def _impossible(fit: Fit, declared: DeclaredNoise, along: Along, residual_nT: fl
         unsure = ", or data that hardly determine it" if abs(value) - IMPOSSIBLE_S < 2.0 * sigma else ""
         said = {"name": known.names[at], "value": measured(value, sigma or None), "most": 100 * IMPOSSIBLE_S}
         found.append(say("verdict.impossible_S", unsure=unsure, **said))
-    allowed_nT = SEVERAL * along.allowed * float(np.hypot(along.noise_nT, FIELD_MODEL_NT))
+    allowed_nT = SEVERAL * float(np.hypot(along.noise_nT, FIELD_MODEL_NT))
     if along.found_nT > allowed_nT:
         found.append(say("verdict.impossible_along", along=along, model_nT=FIELD_MODEL_NT))
     if declared.ratio > SEVERAL:

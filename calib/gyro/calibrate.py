@@ -104,7 +104,7 @@ def _fit(
         span=(used.time[kept_rows[0]], used.time[kept_rows[-1]]),
         field_model="none",
         method=f"gyro and magnetometer alone, for {options.parameters}{beside}",
-        unobservable=(say("gyro.S_not_estimated" if options.parameters == "b" else "gyro.no_scale"),),
+        unobservable=(say("gyro.S_not_estimated") if options.parameters == "b" else say("gyro.no_scale"),),
         telemetry_bias={name: TelemetryBias(solved.fields_nT[k], fields_sigma_nT[k]) for k, name in enumerate(columns)},
     )
     outside = len(used) - len(kept_rows)

@@ -374,7 +374,7 @@ def far_table(diagnosis: Diagnosis) -> Table:
         ["axis", "before", "after", "expected", "expected with effects", "closed (90 %)"],
         rows,
         f"Before: calibration re-estimated. After: named effects included. {held_out} Expected: from noise, "
-        "quantisation and attitude error; with effects: from named noise as well.",
+        "quantisation, attitude error and the error of the prediction; with effects: from named noise as well.",
     )
 
 

@@ -368,7 +368,7 @@ def _prediction(
         after, unsure_nT = one_step(whole.residual_nT, seconds, kept, rate, with_effects_nT, axes)
     log_sd = _floor_log_sd(problem, noise, min((white_nT / with_effects_nT) ** 2, 1.0))
     before_nT, after_nT = float(np.hypot(floor_nT, held.unsure_nT[0])), float(np.hypot(with_effects_nT, unsure_nT))
-    return Prediction(held.before_nT, after, held.counted, before_nT, after_nT, of, axes, log_sd)
+    return Prediction(held.before_nT, after, held.counted, before_nT, after_nT, of, axes, log_sd, held.unsure_nT[0])
 
 
 def _floor_log_sd(problem: Problem, noise: NoiseModel, white: float) -> float:

@@ -76,6 +76,8 @@ class Prediction:
     """Where rows have no attitude: what is seen along the field counts for each body axis by its share in it."""
     floor_log_sd: float = 0.0
     """Standard deviation of the logarithm of what is expected."""
+    unsure_nT: float = 0.0
+    """rms of the error of the prediction without effects."""
 
     @property
     def log_ratio(self) -> float:

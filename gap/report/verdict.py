@@ -206,7 +206,9 @@ def _sentence(work: Work, found: _Conclusion, where: Place, gap: Shrinkage, rese
             others = _sentence(work, replace(found, fault=None), where, gap, resembles)
         return work.angle.said(others, gap.before_nT)
     if found.verdict == "no_gap":
-        return words.no_gap(gap, work.attitude_would_do_rad) + _differ(work)
+        # What is said is the residual of the fit, which has no error of a prediction.
+        fit = replace(gap, floor_nT=(gap.floor_nT**2 - work.prediction.unsure_nT**2) ** 0.5)
+        return words.no_gap(fit, work.attitude_would_do_rad) + _differ(work)
     if found.verdict == "unknown":
         what = _what(work, where) if found.beyond is None else found.beyond.words
         only_outliers = found.beyond is not None and found.beyond is found.outliers

@@ -44,9 +44,11 @@ class Steps(NamedTuple):
 
 
 def stated(probability: float, place: str = FIRST) -> float:
-    """What is stated of a name in its place in the answer, `first` or `further`, to which the posterior gives this much."""
+    """What is stated of a name in its place in the answer, `first` or `further`, to which the posterior gives this much; no
+    more than that."""
     steps = _steps()[place]
-    return float(steps.share[max(int(np.searchsorted(steps.least, probability, side="right")) - 1, 0)])
+    share = float(steps.share[max(int(np.searchsorted(steps.least, probability, side="right")) - 1, 0)])
+    return min(probability, share)
 
 
 def as_stated(effects: Sequence[FoundEffect]) -> list[FoundEffect]:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fluxtwin.gap.selection.criterion import THRESHOLD
+from fluxtwin.gap.selection.criterion import stands_out
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.base import Effect, SignalEffect
 
@@ -37,7 +37,7 @@ class Finding:
 
     @property
     def confirmed(self) -> bool:
-        return self.worth > THRESHOLD and not self.faults
+        return bool(stands_out(self.p_value, self.worth)) and not self.faults
 
     @property
     def words(self) -> str:

@@ -15,7 +15,7 @@ from itertools import product
 import numpy as np
 
 from fluxtwin.calib.common.conventions import OffsetFirst
-from fluxtwin.calib.onboard.target import Number, Target
+from fluxtwin.calib.onboard.target import Number, Target, named_values
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.earth.constants import NT_PER_MG
 
@@ -60,20 +60,15 @@ class CubeAdcs(Target):
         )
 
     def lay_out(self, numbers: Sequence[Number], heading: Sequence[str], instance: int) -> str:
-        stated = (
-            f"cubeadcs:{self.form},{self.unit} telecommand {_TELECOMMANDS[instance]}, in the order of the telecommand"
-        )
+        stated = f"{self._stated} telecommand {_TELECOMMANDS[instance]}, in the order of the telecommand"
         return "\n".join([*(f"# {line}" for line in (stated, *heading)), *(f"{n.name},{n.text}" for n in numbers), ""])
 
     def is_of(self, text: str) -> bool:
         found = _FIRST.search(text)
-        return found is not None and found[1] == f"cubeadcs:{self.form},{self.unit}"
+        return found is not None and found[1] == self._stated
 
     def read(self, text: str, instance: int, where: str) -> OffsetFirst:
-        found = {match["name"]: int(match["value"]) for match in filter(None, map(_LINE.match, text.splitlines()))}
-        missing = [name for name in _NAMES if name not in found]
-        if missing:
-            raise BadInput(f"{', '.join(missing)} not in the file", where=where, wanted=", ".join(_NAMES))
+        found = named_values(text, _LINE, _NAMES, where)
         values = np.array([found[name] for name in _NAMES]) / _PER_UNIT
         M = np.empty((3, 3))
         for place, value in zip(_PLACES, values[3:], strict=True):
@@ -85,6 +80,10 @@ class CubeAdcs(Target):
         largest = _LARGEST / _PER_UNIT
         over = [n.name for n in self.numbers(held, 1) if abs(int(n.text)) > _LARGEST]
         return [f"{', '.join(over)} beyond {largest} (int16 in thousandths, {self.unit})"] if over else []
+
+    @property
+    def _stated(self) -> str:
+        return f"{self.name}:{self.form},{self.unit}"
 
     @property
     def _sign(self) -> float:

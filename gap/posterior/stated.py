@@ -22,8 +22,6 @@ from fluxtwin.gap.records.diagnosis import FoundEffect
 from fluxtwin.sim.base.types import FloatArray
 
 TABLE = Path(__file__).parent / "stated.toml"
-
-
 FIRST, FURTHER = "first", "further"
 """A name that is alone or likeliest in its answer, and one beside it, which is easily the shape error of the first."""
 

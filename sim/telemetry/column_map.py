@@ -31,12 +31,13 @@ from pydantic import BeforeValidator, Field, model_validator
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.limits import MAX_SAMPLES
 from fluxtwin.sim.base.toml_input import Strict, read_model
-from fluxtwin.sim.telemetry import column_map_attitude, column_map_values, time_recipes
+from fluxtwin.sim.telemetry import column_map_attitude, column_map_values, time_recipes, zones
 from fluxtwin.sim.telemetry import column_map_words as words
 from fluxtwin.sim.telemetry.columns import FileTable
 from fluxtwin.sim.telemetry.formats.catalogue import format_of
 from fluxtwin.sim.telemetry.formats.table import Table
 from fluxtwin.sim.telemetry.quantities import BY_MAP_NAME, DRIVERS, FAMILIES, family_of
+from fluxtwin.sim.telemetry.selection import condition
 
 PRESETS = Path(__file__).parent / "data" / "presets"
 PRESET = "preset:"
@@ -59,6 +60,8 @@ class TimeRecipe(Strict):
     """Time scale of the stamps; None: that of the recipe, which is UTC where `time_recipes` does not say another."""
     format: str | None = None
     """Of the recipe `text`, as strptime has it: `%d/%m/%Y %H:%M:%S.%f`."""
+    zone: str | None = None
+    """Of local times: `Europe/Berlin` or `+02:00`; text that states its own zone keeps it."""
     offset_s: float = 0.0
     """Added to every stamp."""
     invalid: list[float] = []
@@ -82,6 +85,11 @@ class TimeRecipe(Strict):
         for key, owner, given in (("epoch", "seconds_since", self.epoch), ("format", "text", self.format)):
             if (self.recipe == owner) != (given is not None):
                 raise ValueError(f"{key} belongs to the recipe {owner}, and is needed there")
+        if self.zone is not None:
+            zones.named(self.zone)
+            scale = self.scale or (counted.scale if counted is not None else "UTC")
+            if scale != "UTC" or "%z" in (self.format or ""):
+                raise ValueError("zone is for local times; these stamps are " + ("%z" if scale == "UTC" else scale))
         return self
 
 
@@ -180,6 +188,8 @@ class FileEntry(Strict):
     """Longest distance between two samples across which this source is interpolated or held."""
     fill: list[float] = []
     """Stored values that mean "missing" in every column, as -9999."""
+    where: str | None = None
+    """The rows that count, as `VALID == 1`: a condition (`selection`) on stored numbers of any column, and on `time`."""
     sort: bool = False
     """Sort by time and drop rows that repeat another one exactly."""
 
@@ -187,6 +197,8 @@ class FileEntry(Strict):
     def _quantities(self) -> Self:
         for name, spec in self.columns.items():
             _check_quantity(name, spec)
+        if self.where is not None:
+            condition(self.where, "where")
         return self
 
 

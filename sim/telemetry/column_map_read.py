@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 
 from fluxtwin.sim.base.errors import BadInput
-from fluxtwin.sim.base.types import FloatArray, TimeArray
+from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.earth.constants import EARTH_RATE_RAD_S
 from fluxtwin.sim.earth.frames import rotation_from_N
-from fluxtwin.sim.telemetry import column_map_attitude, column_map_values, time_recipes, time_stamps
+from fluxtwin.sim.telemetry import column_map_attitude, column_map_values, time_recipes, time_stamps, zones
 from fluxtwin.sim.telemetry.column_map import ColumnSpec, FileEntry, TimeRecipe, matches
 from fluxtwin.sim.telemetry.columns import clip
 from fluxtwin.sim.telemetry.csv_files import CsvFile, open_csv
@@ -22,6 +22,7 @@ from fluxtwin.sim.telemetry.formats.catalogue import table_of
 from fluxtwin.sim.telemetry.formats.table import Table
 from fluxtwin.sim.telemetry.netcdf_files import NetcdfFile
 from fluxtwin.sim.telemetry.quantities import BY_MAP_NAME, family_of
+from fluxtwin.sim.telemetry.selection import STAMPS, Condition, condition
 
 _LIST_BYTES = 400
 """Width of a cell that holds a list of numbers, at most."""
@@ -64,7 +65,8 @@ def read_source(path: Path | Table, entry: FileEntry, max_samples: int) -> Sourc
     if entry.sort:
         _sort(source)
     if source.time.size == 0:
-        raise BadInput("no row has a time", where=source.where, wanted="at least one")
+        what = "no row has a time" if entry.where is None else f"no row with a time is left where {entry.where}"
+        raise BadInput(what, where=source.where, wanted="at least one")
     return source
 
 
@@ -99,19 +101,21 @@ class _Reader:
     where: str
     known: list[str]
     file: CsvFile | NetcdfFile | Table
+    taken: BoolArray | None = None
+    """(N,) the rows that count; what stands in the others is missing, whatever it is."""
 
     def numbers(self, names: list[str]) -> FloatArray:
         """(N, k) of the named columns; one NetCDF variable may bring several components."""
         names = [self._named(name) for name in names]
         if isinstance(self.file, CsvFile):
             found = self.file.numbers(list(dict.fromkeys(names)))
-            return np.stack([found[name] for name in names], axis=1)
+            return self._blanked(np.stack([found[name] for name in names], axis=1), np.nan)
         parts = [self.file.numbers(name) for name in names]
         if any(part.ndim not in (1, 2) for part in parts) or len({part.shape[0] for part in parts}) > 1:
             raise BadInput(
                 f"{clip(names[0])} has not one row a sample", where=self.where, wanted="(time,) or (time, 3)"
             )
-        return np.concatenate([part.reshape(len(part), -1) for part in parts], axis=1)
+        return self._blanked(np.concatenate([part.reshape(len(part), -1) for part in parts], axis=1), np.nan)
 
     def lists(self, name: str) -> FloatArray:
         """(N, k) of one column: a variable of several components, or cells that hold a list."""
@@ -119,8 +123,24 @@ class _Reader:
         if isinstance(self.file, CsvFile) or (
             isinstance(self.file, Table) and self.file.columns[name].dtype.kind == "S"
         ):
-            return column_map_values.from_lists(self.file.text(name, width=_LIST_BYTES), name, self.where)
+            text = self._blanked(self.file.text(name, width=_LIST_BYTES), b"")
+            return column_map_values.from_lists(text, name, self.where)
         return self.numbers([name])
+
+    def choose(self, chosen: Condition, time: TimeArray | None) -> None:
+        """Let only those rows count in which the condition holds."""
+        values: dict[str, np.ndarray] = {name: self.numbers([name])[:, 0] for name in chosen.columns}
+        self.taken = chosen.rows(values if time is None else values | {STAMPS: time})
+
+    def _blanked(self, value: np.ndarray, missing: object) -> np.ndarray:
+        """A column with `missing` in the rows that do not count."""
+        if self.taken is None:
+            return value
+        if len(value) != len(self.taken):
+            raise BadInput(f"its columns have {len(value)} and {len(self.taken)} rows", where=self.where)
+        value = value.copy()
+        value[~self.taken] = missing
+        return value
 
     def _named(self, name: str) -> str:
         """The column of that name, or the only one that the pattern `name` fits, whatever its case."""
@@ -137,13 +157,14 @@ class _Reader:
         """Stamps that the file has as such, in the recipe's time scale."""
         names = [self._named(name) for name in recipe.names]
         if recipe.recipe == "cf" and not isinstance(self.file, CsvFile):
-            return self.file.times(names[0])
+            return zones.utc(self._blanked(self.file.times(names[0]), np.datetime64("NaT")), recipe.zone, self.where)
         if recipe.recipe == "cf" or isinstance(self.file, NetcdfFile):
             raise BadInput(f"time recipe {recipe.recipe} does not fit this kind of file", where=self.where)
-        text = time_recipes.joined(self.file.text, names)
+        text = self._blanked(time_recipes.joined(self.file.text, names), b"")
         if recipe.recipe == "text":
-            return time_stamps.parse_text(text, str(recipe.format), self.where)
-        return time_stamps.parse_iso(text, self.where, notices if recipe.scale is None else None, " and ".join(names))
+            return zones.utc(time_stamps.parse_text(text, str(recipe.format), self.where), recipe.zone, self.where)
+        said = notices if recipe.scale is None else None
+        return time_stamps.parse_iso(text, self.where, said, " and ".join(names), recipe.zone)
 
     def times(self, recipe: TimeRecipe, notices: list[str]) -> TimeArray:
         """UTC stamps by `recipe`; what was assumed of them goes to `notices`."""
@@ -151,13 +172,18 @@ class _Reader:
             return epoch.utc_of(self._written(recipe, notices), recipe.scale or "UTC")
         raw = self.numbers(recipe.names)
         raw[np.isin(raw[:, 0], recipe.invalid), 0] = np.nan
-        return time_recipes.stamps(raw, recipe)
+        return zones.utc(time_recipes.stamps(raw, recipe), recipe.zone, self.where)
 
 
 def _source(reader: _Reader, entry: FileEntry, notices: list[str], digest: str) -> Source:
+    chosen = None if entry.where is None else condition(entry.where, "where")
+    if chosen is not None and not chosen.timed:  # before the stamps: those of other rows may be none
+        reader.choose(chosen, None)
     time = reader.times(entry.time, notices)
     if entry.time.offset_s:
         time = time + np.timedelta64(round(entry.time.offset_s * 1e9), "ns")
+    if chosen is not None and chosen.timed:
+        reader.choose(chosen, time)
     values = {}
     for name, spec in entry.columns.items():
         value = _quantity(reader, name, spec, entry.fill)
@@ -167,7 +193,12 @@ def _source(reader: _Reader, entry: FileEntry, notices: list[str], digest: str) 
     if "velocity" in values and entry.columns["velocity"].axes == "ITRS":
         values["velocity"] = _inertial_velocity(values, entry, time, reader.where)
     notices += [text for name, spec in entry.columns.items() for text in spec.assumptions(name)]
-    return Source(entry, reader.where, time, values, notices, [digest])
+    source = Source(entry, reader.where, time, values, notices, [digest])
+    if chosen is not None and reader.taken is not None:
+        rows = np.flatnonzero(reader.taken)
+        notices.append(f"{rows.size} of {time.size} rows were taken, where {chosen.text}")
+        _cut(source, rows)
+    return source
 
 
 def _quantity(reader: _Reader, name: str, spec: ColumnSpec, fill: list[float]) -> FloatArray:

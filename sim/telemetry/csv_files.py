@@ -45,6 +45,8 @@ A column and not a comment, so that every reader takes the file, and rows may be
 _CHECKS = re.compile(r"row_crc32_v(\d{1,4})")
 _CRC_BYTES = len(",01234567")
 _MISSING = ["", "NaN", "nan", "NAN"]
+_TRUTHS = {"true": 1.0, "false": 0.0}
+"""Words, in any case, of a column that holds nothing else."""
 _NUMBER = re.compile(r"\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*")
 _STAMP = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(\.(\d{3}){1,3})?Z")
 """A stamp as `format_iso` writes it."""
@@ -79,7 +81,10 @@ class CsvFile:
         return np.array([row.split(b",", place + 1)[place] for row in rows], dtype=f"S{width}")
 
     def numbers(self, names: list[str]) -> dict[str, FloatArray]:
-        """Columns as float64, blank and NaN missing. Raises BadInput naming the first cell that is no number."""
+        """Columns as float64, blank and NaN missing; columns of nothing but true and false as 1 and 0.
+
+        Raises BadInput naming the first cell that is no number.
+        """
         if not names:
             return {}
         if self.cells is not None:
@@ -88,17 +93,29 @@ class CsvFile:
         try:
             table = np.loadtxt(opened, delimiter=",", comments=None, usecols=places, ndmin=2, encoding="latin1")
         except ValueError:
+            truths = {name: words for name in names if (words := self._truths(name)) is not None}
+            if truths:
+                return truths | self.numbers([name for name in names if name not in truths])
             raise self._bad_cell(names) from None
         found = {name: np.ascontiguousarray(column) for name, column in zip(names, table.T, strict=True)}
         for name, value in found.items():
             self._finite(name, value)
         return found
 
+    def _truths(self, name: str) -> FloatArray | None:
+        """A column of true, false and blanks; None for any other."""
+        known = _TRUTHS | dict.fromkeys((one.lower() for one in _MISSING), np.nan)
+        words = [bytes(cell).decode("utf-8", "replace").strip().lower() for cell in self.text(name).tolist()]
+        fits = known.keys() >= set(words) and not _TRUTHS.keys().isdisjoint(words)
+        return np.array([known[word] for word in words]) if fits else None
+
     def _numbers_from_cells(self, name: str) -> FloatArray:
         place = self.names.index(name)
         texts = [row[place] for row in self.cells or []]
         wrong = next((i for i, text in enumerate(texts) if not _is_number(text)), None)
         if wrong is not None:
+            if (truths := self._truths(name)) is not None:
+                return truths
             raise self._not_a_number(name, wrong, texts[wrong])
         value = np.array([np.nan if t.strip() in _MISSING else float(t) for t in texts], dtype=np.float64)
         self._finite(name, value)

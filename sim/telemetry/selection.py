@@ -1,7 +1,8 @@
 """Which rows of telemetry are taken: from, to, and a condition on columns, as `sunlit == 1 and temperature_degC < 10`.
 
-A condition is comparisons of a column with a number, joined by `and`, `or` and brackets. Python's parser reads it; nothing
-of it is ever evaluated as Python, and whatever else that parser knows is refused.
+A condition is comparisons of a column with a number, or of `time` with a quoted instant, joined by `and`, `or` and
+brackets. Python's parser reads it; nothing of it is ever evaluated as Python, and whatever else the parser knows is
+refused.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import operator
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -21,7 +23,7 @@ from fluxtwin.sim.telemetry.columns import FileTable, clip, file_columns
 from fluxtwin.sim.telemetry.record import Telemetry
 
 _LONGEST, _DEEPEST = 500, 20
-_SIGNS: dict[type[ast.cmpop], Callable[[FloatArray, float], BoolArray]] = {
+_SIGNS: dict[type[ast.cmpop], Callable[[Any, Any], BoolArray]] = {
     ast.Eq: operator.eq,
     ast.NotEq: operator.ne,
     ast.LtE: operator.le,
@@ -33,7 +35,9 @@ _MIRRORED: dict[type[ast.cmpop], type[ast.cmpop]] = {ast.Lt: ast.Gt, ast.Gt: ast
 _NUMBER = re.compile(r"[+-]?\s*(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 _EXAMPLE = "comparisons of a column with a number, joined by `and` or `or`, as 'sunlit == 1 and temperature_degC < 10'"
 
-Rows = Callable[[Mapping[str, FloatArray]], BoolArray]
+STAMPS = "\0time"
+"""Key of the rows' stamps among the values of a condition; no column is called so."""
+Rows = Callable[[Mapping[str, np.ndarray]], BoolArray]
 
 
 @dataclass(frozen=True)
@@ -43,6 +47,8 @@ class Condition:
     text: str
     columns: tuple[str, ...]
     rows: Rows
+    timed: bool = False
+    """Whether it compares the stamps, which `rows` then takes under `STAMPS`."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +84,7 @@ class Selection:
             if missing:
                 listed = ", ".join(clip(name) for name in list(columns)[:40])
                 raise BadInput(f"{where} has no column {clip(missing[0])}", where="--where", wanted=f"one of {listed}")
-            taken &= self.condition.rows(columns)
+            taken &= self.condition.rows({**columns, STAMPS: time})
         if not taken.any():
             span = f"; the file reaches from {epoch.iso(time.min())} to {epoch.iso(time.max())}" if time.size else ""
             raise BadInput(f"no row is left {self.words}{span}", where=where, wanted="a wider selection")
@@ -125,39 +131,44 @@ def selected(
     return record.select(chosen.rows(record.time, columns, "the record"))
 
 
-def condition(text: str) -> Condition:
-    """The condition that `text` states. Raises BadInput that says which part of it is none."""
+def condition(text: str, place: str = "--where") -> Condition:
+    """The condition that `text` states. Raises BadInput, with the place where it was given and the part that is none."""
     if len(text) > _LONGEST:
-        raise BadInput(f"has {len(text)} characters", where="--where", wanted=f"at most {_LONGEST}")
+        raise BadInput(f"has {len(text)} characters", where=place, wanted=f"at most {_LONGEST}")
     if text.count("(") > _DEEPEST:
-        raise BadInput("has too many brackets", where="--where", wanted=_EXAMPLE)
+        raise BadInput("has too many brackets", where=place, wanted=_EXAMPLE)
     text = " ".join(text.split())
     try:
         tree = ast.parse(text, mode="eval").body
     except (SyntaxError, ValueError) as error:
         said = getattr(error, "msg", str(error))
-        raise BadInput(f"cannot be read ({said})", where=f"--where {clip(text)!r}", wanted=_EXAMPLE) from None
+        raise BadInput(f"cannot be read ({said})", where=f"{place} {clip(text)!r}", wanted=_EXAMPLE) from None
     columns: list[str] = []
-    rows = _rows(tree, text, columns)
-    return Condition(text, tuple(dict.fromkeys(columns)), rows)
+    rows = _rows(tree, text, columns, place)
+    named = tuple(name for name in dict.fromkeys(columns) if name != STAMPS)
+    return Condition(text, named, rows, STAMPS in columns)
 
 
-def _rows(part: ast.expr, text: str, columns: list[str]) -> Rows:
+def _rows(part: ast.expr, text: str, columns: list[str], place: str) -> Rows:
     """The rows in which a part of the condition holds; its columns go to `columns`. Raises BadInput for another part."""
     if isinstance(part, ast.BoolOp):
         join = np.logical_and if isinstance(part.op, ast.And) else np.logical_or
-        parts = [_rows(one, text, columns) for one in part.values]
+        parts = [_rows(one, text, columns, place) for one in part.values]
         return lambda values: join.reduce([one(values) for one in parts])
     if isinstance(part, ast.Compare) and len(part.ops) == 1:
         sign, left, right = type(part.ops[0]), part.left, part.comparators[0]
-        if _number(text, left) is not None:
+        if _number(text, left) is not None or (_name(text, right) == "time" and _quoted(left) is not None):
             sign, left, right = _MIRRORED.get(sign, sign), right, left
         name, number = _name(text, left), _number(text, right)
         if name is not None and number is not None and sign in _SIGNS:
             columns.append(name)
             return lambda values: _SIGNS[sign](values[name], number) & ~np.isnan(values[name])
+        if name == "time" and _quoted(right) is not None and sign in _SIGNS:
+            instant = epoch.parse_time(str(_quoted(right)), where=f"{place} {clip(text)!r}")
+            columns.append(STAMPS)
+            return lambda values: _SIGNS[sign](values[STAMPS], instant) & ~np.isnat(values[STAMPS])
     said = clip(str(ast.get_source_segment(text, part)), 40)
-    raise BadInput(f"{said!r} compares no column with a number", where=f"--where {clip(text)!r}", wanted=_EXAMPLE)
+    raise BadInput(f"{said!r} compares no column with a number", where=f"{place} {clip(text)!r}", wanted=_EXAMPLE)
 
 
 def _name(text: str, side: ast.expr) -> str | None:
@@ -166,6 +177,10 @@ def _name(text: str, side: ast.expr) -> str | None:
         return side.value if isinstance(side.value, str) else None
     said = ast.get_source_segment(text, side) or ""
     return said if isinstance(side, ast.Name | ast.Attribute) and re.fullmatch(r"[\w.]+", said) else None
+
+
+def _quoted(side: ast.expr) -> str | None:
+    return side.value if isinstance(side, ast.Constant) and isinstance(side.value, str) else None
 
 
 def _number(text: str, side: ast.expr) -> float | None:

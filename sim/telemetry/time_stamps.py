@@ -8,17 +8,24 @@ import numpy as np
 
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.types import TimeArray
+from fluxtwin.sim.telemetry import zones
 
 _FIRST_YEAR, _LAST_YEAR = 1900, 2200
 _NAT = np.datetime64("NaT", "ns")
-_ZONE = r"[Zz]|[+-](?:0\d|1[0-4])(?::?[0-5]\d)?"  # from -12:00 to +14:00 are in use
-_STAMP = re.compile(rf"(\d{{4}}-\d\d-\d\d[Tt ]\d\d:\d\d:\d\d(?:\.\d{{1,9}})?) ?({_ZONE})?", re.ASCII)
+_STAMP = re.compile(rf"(\d{{4}}-\d\d-\d\d[Tt ]\d\d:\d\d:\d\d(?:\.\d{{1,9}})?) ?({zones.AHEAD})?", re.ASCII)
 
 
-def parse_iso(text: np.ndarray, where: str, notices: list[str] | None = None, column: str = "time") -> TimeArray:
+def parse_iso(
+    text: np.ndarray,
+    where: str,
+    notices: list[str] | None = None,
+    column: str = "time",
+    zone: str | None = None,
+) -> TimeArray:
     """datetime64[ns] (N,) of ISO 8601 UTC stamps, an array of bytes (N,); a blank is NaT.
 
-    notices: takes a sentence where stamps do not say that they are UTC, those of the column named.
+    notices: takes a sentence where stamps do not say that they are UTC, those of the column named. zone: that of stamps
+    without one (`zones.utc`); None is UTC.
 
     Accepted: `1978-07-24T06:00:00`, a blank in place of T, up to nine decimals, an ending Z or a zone as +02:00, which is
     taken off. Raises BadInput naming the first row that is anything else (leap seconds, dates that do not exist).
@@ -29,14 +36,14 @@ def parse_iso(text: np.ndarray, where: str, notices: list[str] | None = None, co
     known = np.array([match is not None for match in matches], dtype=np.bool_)
     plain = [match[1].upper() for match in matches if match is not None]
     plain = [stamp if str(_FIRST_YEAR) <= stamp[:4] <= str(_LAST_YEAR) else "NaT" for stamp in plain]  # numpy wraps
-    zones = [match[2] for match in matches if match is not None]
+    stated = [match[2] for match in matches if match is not None]
     stamps = np.full(text.size, _NAT)
     try:
         stamps[known] = plain
     except ValueError:
         stamps[known] = [_existing(stamp) for stamp in plain]
-    if any(zone not in (None, "Z", "z") for zone in zones):
-        stamps[known] -= np.array([_minutes(zone) for zone in zones], dtype="timedelta64[m]")
+    if any(one not in (None, "Z", "z") for one in stated):
+        stamps[known] -= np.array([zones.minutes(one) for one in stated], dtype="timedelta64[m]")
     year = stamps.astype("datetime64[Y]").astype("int64") + 1970
     good = ~np.isnat(stamps) & (year >= _FIRST_YEAR) & (year <= _LAST_YEAR)
     wrong = np.flatnonzero(~(good | blank))
@@ -49,10 +56,13 @@ def parse_iso(text: np.ndarray, where: str, notices: list[str] | None = None, co
             where=where,
             wanted="ISO 8601 UTC, as 1978-07-24T06:00:00.5Z",
         )
-    if notices is not None and (count := zones.count(None)):
+    if zone is not None:
+        local = np.flatnonzero(known)[[one is None for one in stated]]
+        stamps[local] = zones.utc(stamps[local], zone, where)
+    elif notices is not None and (count := stated.count(None)):
         rows = "" if count == text.size else f" in {count} of {text.size} rows"
         notices.append(
-            f"column {column} has no Z and no zone{rows}: taken as UTC (for local time, a column map with time.offset_s)"
+            f"column {column} has no Z and no zone{rows}: taken as UTC (for local time, a column map with time.zone)"
         )
     return stamps
 
@@ -86,14 +96,6 @@ def parse_text(text: np.ndarray, form: str, where: str) -> TimeArray:
             f"time in row {wrong[0] + 1} is {words[wrong[0]][:40]!r}", where=where, wanted=f"the format {form!r}"
         )
     return stamps
-
-
-def _minutes(zone: str | None) -> int:
-    """Minutes that a zone is ahead of UTC."""
-    if zone is None or zone in "Zz":
-        return 0
-    digits = zone[1:].replace(":", "").ljust(4, "0")
-    return (-1 if zone[0] == "-" else 1) * (60 * int(digits[:2]) + int(digits[2:]))
 
 
 def format_iso(time: TimeArray) -> list[str]:

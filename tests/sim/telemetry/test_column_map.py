@@ -351,3 +351,53 @@ def test_a_file_that_is_one_of_one_is_called_by_its_name(tmp_path: Path) -> None
     csv(tmp_path / "a.csv", "t,bx,by,bz", rows)
     read = mapped(tmp_path, one_file('{ recipe = "iso", columns = "t" }'), "a.csv")
     assert "a.csv: 1 rows without a time were left out" in read.provenance["notices"]
+
+
+ROWS_THAT_COUNT = """t,x,y,z,q0,q1,q2,q3,VALID
+nothing,-1,1,1,0,0,0,0,0
+2026-03-01T00:00:00Z,20000,1,1,1,0,0,0,1
+1980-01-06T00:00:00Z,-1,1,1,0,0,0,0,0
+2026-03-01T00:00:10Z,20001,1,1,1,0,0,0,1
+2026-03-01T00:00:20Z,20002,1,1,1,0,0,0,1
+"""
+ATTITUDE = 'attitude = { from = ["q0", "q1", "q2", "q3"], order = "wxyz", relative_to = "GCRS" }'
+
+
+def of_rows(folder: Path, where: str, table: str = ROWS_THAT_COUNT) -> Telemetry:
+    (folder / "t.csv").write_text(table, encoding="utf-8")
+    time, mag = '{ recipe = "iso", columns = "t" }', 'mag = { from = ["x", "y", "z"], unit = "nT" }'
+    text = f"[[file]]\ntime = {time}\nwhere = {where}\n[file.columns]\n{mag}\n{ATTITUDE}\n"
+    (folder / "m.toml").write_text(text, encoding="utf-8")
+    return read_telemetry(folder / "t.csv", column_map=folder / "m.toml")
+
+
+@pytest.mark.parametrize(
+    ("where", "expected"),
+    [
+        ("'VALID == 1'", [20000.0, 20001.0, 20002.0]),  # whatever stands in the others, even what is no time
+        ("""'VALID == 1 and "x" > 20000'""", [20001.0, 20002.0]),
+    ],
+)
+def test_a_map_says_which_rows_count(tmp_path: Path, where: str, expected: list[float]) -> None:
+    found = of_rows(tmp_path, where)
+    assert list(found.mag_B_nT[:, 0]) == expected
+    assert f"{len(expected)} of 5 rows were taken, where VALID == 1" in found.provenance["notices"]
+
+
+def test_rows_before_a_time_do_not_count(tmp_path: Path) -> None:
+    table = ROWS_THAT_COUNT.replace("nothing,", "2019-01-01T00:00:00Z,")
+    assert list(of_rows(tmp_path, "\"time >= '2026-03-01T00:00:10Z'\"", table).mag_B_nT[:, 0]) == [20001.0, 20002.0]
+
+
+@pytest.mark.parametrize(
+    ("where", "said"),
+    [
+        ("'VALID == 2'", "no row with a time is left where VALID == 2"),
+        ("'VALID'", "compares no column"),
+        ("'OTHER == 1'", "column OTHER is missing"),
+        ("\"time > 'soon'\"", "'soon' is no time"),
+    ],
+)
+def test_rows_that_cannot_be_meant_are_refused(tmp_path: Path, where: str, said: str) -> None:
+    with pytest.raises(BadInput, match=said):
+        of_rows(tmp_path, where)

@@ -575,3 +575,22 @@ def test_numbers_and_blanks_of_a_csv_are_those_of_another_parser(tmp_path: Path,
     for name, values in found.items():
         witness = [float(row["abcd".index(name)] or "nan") for row in rows]
         assert np.array_equal(values, witness, equal_nan=True)
+
+
+TRUTHS = """time,mag_x_nT,mag_y_nT,mag_z_nT,sunlit,flag_ok
+2026-03-01T00:00:00Z,20000,2,3,true,TRUE
+2026-03-01T00:00:10Z,20001,2,3,,False
+2026-03-01T00:00:20Z,20002,2,3,false,True
+"""
+
+
+@pytest.mark.parametrize("quote", ["", '"'])
+def test_true_and_false_are_one_and_zero_where_a_column_has_nothing_else(tmp_path: Path, quote: str) -> None:
+    path = tmp_path / "t.csv"
+    path.write_text(TRUTHS.replace("2026-03-01T00:00:00Z", f"{quote}2026-03-01T00:00:00Z{quote}"), encoding="utf-8")
+    found = read_telemetry(path)
+    assert np.array_equal(found.sunlit, [1, np.nan, 0], equal_nan=True)
+    assert list(found.flags["ok"]) == [1, 0, 1]
+    path.write_text(TRUTHS.replace("20001", f"{quote}true{quote}"), encoding="utf-8")
+    with pytest.raises(BadInput, match="mag_x_nT in row 2 is 'true', which is no number"):
+        read_telemetry(path)

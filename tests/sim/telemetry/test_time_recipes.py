@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from astropy.time import Time
 
@@ -113,6 +114,44 @@ def test_stamps_as_text(tmp_path: Path, name: str) -> None:
     assert np.array_equal(found, expected)
 
 
+LOCAL = {
+    "summer": ("2026-07-01T00:00:00", 40, "Europe/Berlin"),
+    "spring": ("2026-03-28T23:00:00", 40, "Europe/Berlin"),
+    "autumn": ("2026-10-24T23:00:00", 40, "Europe/Berlin"),
+    "two autumns": ("2025-10-24T23:00:00", 20000, "America/New_York"),
+    "half an hour": ("2026-04-04T10:00:00", 60, "Australia/Lord_Howe"),
+}
+"""UTC of the first stamp, number of stamps a quarter of an hour apart, zone."""
+
+
+@pytest.mark.parametrize("name", LOCAL)
+def test_local_times_against_pandas(tmp_path: Path, name: str) -> None:
+    start, count, zone = LOCAL[name]
+    utc = pd.date_range(start, periods=count, freq="15min", tz="UTC")
+    local = [f"{stamp:%Y-%m-%dT%H:%M:%S}" for stamp in utc.tz_convert(zone)]
+    found = read(tmp_path, f'recipe = "iso", zone = "{zone}"', list(local), [0] * count)
+    assert np.array_equal(found, utc.tz_localize(None).to_numpy())
+
+
+def test_every_recipe_of_local_times_takes_a_zone(tmp_path: Path) -> None:
+    expected = np.array(["2026-02-28T22:30:00", "2026-03-01T00:00:00"], dtype="datetime64[ns]")
+    for recipe, cells in {
+        'recipe = "iso", zone = "+01:30"': ["2026-03-01T00:00:00", "2026-03-01T00:00:00Z"],  # a stated zone counts
+        'recipe = "text", format = "%d.%m.%Y %H:%M", zone = "+01:30"': ["01.03.2026 00:00", "01.03.2026 01:30"],
+        'recipe = "unix_s", zone = "+01:30"': [1772323200, 1772323200 + 5400],
+    }.items():
+        assert np.array_equal(read(tmp_path, recipe, list(cells), [0, 0]), expected), recipe
+
+
+@pytest.mark.parametrize(
+    ("stamp", "said"),
+    [("2026-03-29T02:30:00", "does not exist in Europe/Berlin"), ("2026-10-25T02:30:00", "comes twice")],
+)
+def test_a_local_time_that_is_none_or_two_is_refused(tmp_path: Path, stamp: str, said: str) -> None:
+    with pytest.raises(BadInput, match=f"row 2, {stamp}, {said}"):
+        read(tmp_path, 'recipe = "iso", zone = "Europe/Berlin"', ["2026-03-01T00:00:00", stamp], [0, 0])
+
+
 @pytest.mark.parametrize(
     ("recipe", "said"),
     [
@@ -123,6 +162,9 @@ def test_stamps_as_text(tmp_path: Path, name: str) -> None:
         ('recipe = "unix_s", format = "%Y"', "format belongs to the recipe text"),
         ('recipe = "text", format = "%d.%m.%Y"', "row 1"),
         ('recipe = "seconds_ns"', "takes 2 columns"),
+        ('recipe = "gps_s", zone = "+02:00"', "zone is for local times"),
+        ('recipe = "iso", zone = "Europe/Atlantis"', "'Europe/Atlantis' is not known"),
+        ('recipe = "text", format = "%Y %z", zone = "+02:00"', "zone is for local times"),
     ],
 )
 def test_a_wrong_recipe_is_answered_in_words(tmp_path: Path, recipe: str, said: str) -> None:

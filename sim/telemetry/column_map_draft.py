@@ -6,24 +6,20 @@ import itertools
 import json
 import re
 import shlex
-from collections.abc import MutableMapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import replace
 from fnmatch import fnmatchcase
 from pathlib import Path
 
 import numpy as np
 
 from fluxtwin.sim.base.errors import BadInput
-from fluxtwin.sim.base.limits import MAX_SAMPLES
 from fluxtwin.sim.base.types import FloatArray
-from fluxtwin.sim.telemetry.column_map_draft_time import text_format
-from fluxtwin.sim.telemetry.column_map_values import from_lists
-from fluxtwin.sim.telemetry.csv_files import CsvFile, open_csv
-from fluxtwin.sim.telemetry.formats.catalogue import READ, format_of, table_of
-from fluxtwin.sim.telemetry.formats.table import Table
-from fluxtwin.sim.telemetry.netcdf_files import NetcdfFile
+from fluxtwin.sim.telemetry.column_map_draft_header import Header, headers_of
+from fluxtwin.sim.telemetry.column_map_draft_time import recipe
+from fluxtwin.sim.telemetry.column_map_words import POSITIONS, canonical
+from fluxtwin.sim.telemetry.formats.catalogue import READ, format_of
 from fluxtwin.sim.telemetry.quantities import BY_MAP_NAME
-from fluxtwin.sim.telemetry.telemetry_files import refuse_toml
 
 CONFIRM = "# to be confirmed:"
 _AXES = (("x", "y", "z"), ("1", "2", "3"), ("0", "1", "2"), ("u", "v", "w"), ("a", "b", "c"))
@@ -31,25 +27,30 @@ _QUATERNIONS = (
     ("xyzw", ("x", "y", "z", "w"), False),
     ("wxyz", ("w", "x", "y", "z"), False),
     ("wxyz", ("s", "1", "2", "3"), False),
+    ("wxyz", ("s", "x", "y", "z"), False),
+    ("xyzw", ("x", "y", "z", "s"), False),
     ("xyzw", ("1", "2", "3", "4"), True),
     ("wxyz", ("0", "1", "2", "3"), True),
     ("xyzw", ("i", "j", "k", "r"), False),
+    ("xyzw", ("i", "j", "k", "s"), False),
+    ("wxyz", ("w", "i", "j", "k"), False),
+    ("wxyz", ("a", "b", "c", "d"), True),
 )
 """Order that the endings of four names suggest, and whether that is a guess."""
 _UNIT_NAMES = {
     word: unit
     for unit, words in {
-        "nT": "nt",
-        "uT": "ut",
-        "mG": "mg",
+        "nT": "nt nanotesla",
+        "uT": "ut microtesla",
+        "mG": "mg milligauss mgauss",
         "G": "g gauss",
-        "T": "t",
+        "T": "t tesla",
         "km": "km",
         "m": "m",
-        "km/s": "kms",
-        "m/s": "ms",
-        "deg/s": "degs dps",
-        "rad/s": "rads",
+        "km/s": "kms kmps",
+        "m/s": "ms mps",
+        "deg/s": "degs dps degps",
+        "rad/s": "rads radps",
         "degC": "degc c",
         "K": "k",
         "rpm": "rpm",
@@ -58,9 +59,9 @@ _UNIT_NAMES = {
     for word in words.split()
 }
 _FRAME_WORDS = {
-    "ecef itrf itrs": "ITRS",
+    "ecef ecf itrf itrs wgs": "ITRS",
     "gcrs gcrf": "GCRS",
-    "j2000": "J2000",
+    "j2000 j2k eme2000": "J2000",
     "teme": "TEME",
     "tod": "TOD",
     "gei": "GEI",
@@ -70,52 +71,48 @@ _FRAME_WORDS = {
 }
 """Frame by the words that a name may have; the first that fits counts."""
 _KINDS = (
-    ("mag", re.compile(r"mag|(^|_)b(_|$)|fgm|tam|field|^b$|bfield|fluxgate|compass|mtm|hmc|rm3100|lis3mdl|bmm|mmc5")),
-    ("velocity", re.compile(r"vel|^v(_|$)|(_|^)v$")),
-    ("position", re.compile(r"pos|ecef|eci|^r(_|$)|(_|^)r$|orb|gps|gnss")),
-    ("rate", re.compile(r"rate|gyr|omega|angvel|^w(_|$)")),
-    ("dipole", re.compile(r"dipole|mtq|torquer")),
+    ("dipole", re.compile(r"dipole|mtq|torquer|mag_?(rod|torq)")),
+    ("mag", re.compile(r"mag|fgm|tam|field|fluxgate|compass|mtm|mgm|hmc|rm3100|lis3mdl|bmm|mmc5")),
+    ("rate", re.compile(r"rate|gyr|omega|ang_?vel")),
+    ("velocity", re.compile(r"vel|(gps|gnss|orb|sc|sat|eci|ecef)v(_|$)")),
     ("sun", re.compile(r"sun")),
     ("nadir", re.compile(r"nadir")),
+    ("mag", re.compile(r"(^|_)b(_|$)")),
+    ("velocity", re.compile(r"^v(_|$)|(_|^)v$")),
+    ("rate", re.compile(r"^w(_|$)")),
+    ("position", re.compile(r"pos|ecef|eci|^r(_|$)|(_|^)r$|orb|gps|gnss")),
 )
+"""What the name of three columns without their axes says; the first that fits counts."""
+_LIKELY = (
+    ("mag", re.compile(r"^(m|h|f)(_[a-z]*|$)|(^|_)(mg|mgn|fg|fm|bf)(_|$)")),
+    ("velocity", re.compile(r"^(km_?s|m_?s|kmps|mps)$|(^|_)(state_?)?v(_|$)")),
+    ("position", re.compile(r"^(km|m|)$|(^|_)(p|sc|sat|xyz|state|cis|geo|coord[a-z]*|loc[a-z]*|s)(_|$)")),
+    ("rate", re.compile(r"(^|_)(om|g|gy|imu|w)(_|$)")),
+    ("dipole", re.compile(r"(^|_)(dip|mt|mtr|tq|trq|rod)(_|$)")),
+)
+"""Likewise where no other columns of the file are that quantity; a guess."""
+_ELSEWHERE = re.compile(r"igrf|wmm|model|pred|expect|eci|j2000|gcr[sf]|inertial|teme|(^|_)ned(_|$)")
+"""Of vectors that are no readings in body axes."""
+_NO_STATE = re.compile(r"(^|_)(ref|err|error|bias|innov|tgt|target|std)(_|$)|std_dev|sigma|desired")
+"""Of numbers about a quantity that are not the quantity."""
+_ATTITUDE = re.compile(r"q|att|eul|(^|_)(eps|beta)|orient", re.IGNORECASE)
+"""Of four columns that are a quaternion if they have the norm 1."""
+_IN_BODY = ("mag", "rate", "dipole", "sun", "nadir")
+_WHEEL = re.compile(r"^(?!.*(curr|torq|temp|duty|cmd|volt)).*(wheel|(^|_)rwa?_?\d)")
+_GOOD = re.compile(r"valid|good|usable|(^|_)(ok|qual(ity)?)(_|$)", re.IGNORECASE)
 _SIZES = {
     "mag": (("nT", 1e3, 2e5), ("mG", 100.0, 1e3), ("uT", 5.0, 100.0), ("G", 0.08, 1.0), ("T", 5e-6, 1e-4)),
     "position": (("m", 6e6, 1e9), ("km", 6e3, 1e6)),
     "velocity": (("m/s", 300.0, 12e3), ("km/s", 0.3, 12.0)),
 }
 """Typical sizes of a vector by unit: a guess where the name says none."""
-_CURRENT = re.compile(r"curr|amp(s|ere)?(_|$)|^i_?(sa|bat|load|bus)|(^|_)i_|_i(_|$)|_m?a$|duty|pwm|heater|load")
+_CURRENT = re.compile(r"curr|(?<!st)amp(s|ere)?(_|$)|^i_?(sa|bat|load|bus)|(^|_)i_|_i(_|$)|_m?a$|duty|pwm|heater|load")
 _COUNTS = re.compile(r"cnt|count|adc|(^|_)raw(_|$)", re.IGNORECASE)
-_GROUND = re.compile(r"rece|ground|arriv|download|(^|_)rx(_|$)", re.IGNORECASE)
 _MOST_A = 30.0
 """More than a small spacecraft has in one wire: then it is in mA."""
 _TABLES = (".csv", ".csv.gz", ".nc", ".nc4", ".h5", *READ)
-_SAMPLE = 2000
 _FILLS = (-9999.0, -99999.0, -999.0, 9999.0, 99999.0, 65535.0, 32767.0, -32768.0, 1e31, -1e31)
 """What programs write where there is nothing."""
-
-
-@dataclass
-class Header:
-    """Names of the columns of one file, and numbers of a few rows."""
-
-    path: Path
-    names: list[str]
-    values: MutableMapping[str, FloatArray] = field(default_factory=dict)
-    """Columns (n,) or variables (n, k) that are numbers."""
-    iso: list[str] = field(default_factory=list)
-    """Columns of ISO 8601 stamps."""
-    cf: list[str] = field(default_factory=list)
-    """NetCDF variables with units "... since"."""
-    units: dict[str, str] = field(default_factory=dict)
-    rows: int = 0
-    texts: dict[str, list[str]] = field(default_factory=dict)
-    """Some cells of the columns of a CSV as they stand."""
-    sheet: str | None = None
-    pattern: str = ""
-    """Of the names of several files with this header."""
-    frame: str | None = None
-    """Of its attitude or orbit, where the format states it."""
 
 
 def draft(paths: Sequence[Path | str]) -> str:
@@ -204,8 +201,10 @@ def _file(header: Header, *, named: bool, seen: set[str]) -> list[str]:
             f"{CONFIRM} that the pieces may overlap, so that rows are sorted and repeated ones dropped",
             "sort = true",
         ]
-    recipe, used, doubt = _time(header)
-    lines += [f"{CONFIRM} {doubt}"] * bool(doubt) + [f"time = {recipe}", "[file.columns]"]
+    how, used, doubt = recipe(header)
+    lines += [f"{CONFIRM} {doubt}"] * bool(doubt) + [f"time = {how}"]
+    lines += _rows_that_count(header)
+    lines.append("[file.columns]")
     free, here = [name for name in header.names if name not in used], dict[str, list[str]]()
     head, apart = list(lines), list[str]()
     for quantity, columns, keys, doubts in _quantities(header, free):
@@ -244,62 +243,14 @@ def _elsewhere(header: Header, columns: list[str], others: list[str]) -> bool:
     return bool((has & too).sum() < 0.9 * has.sum())
 
 
-def _time(header: Header) -> tuple[str, set[str], str]:
-    """The recipe, the columns it takes, and what is doubtful in it."""
-    if header.cf:
-        return f'{{ recipe = "cf", columns = {json.dumps(header.cf[0])} }}', {header.cf[0]}, ""
-    likely = re.compile(r"time|date|utc|tai|stamp|epoch|unix|^t($|_)|^ts|sec|week|tow", re.IGNORECASE)
-    for name in sorted(header.iso, key=lambda one: not likely.search(one)):
-        ground = f"that {name} is the spacecraft's own stamp, not that of the ground" if _GROUND.search(name) else ""
-        return f'{{ recipe = "iso", columns = {json.dumps(name)} }}', {name}, ground
-    written = text_format(header.texts)
-    if written is not None:
-        names, form, doubt = written
-        return f'{{ recipe = "text", columns = {json.dumps(names)}, format = {json.dumps(form)} }}', set(names), doubt
-    week = [n for n in header.values if re.search(r"week|(^|_)wn(_|$)", n, re.IGNORECASE)]
-    tow = [n for n in header.values if re.search(r"tow|week.*sec|sec.*week|seconds_of", n, re.IGNORECASE)]
-    if week and tow and week[0] != tow[-1]:
-        text = f'{{ recipe = "gps_week_tow", columns = {json.dumps([week[0], tow[-1]])} }}'
-        return text, {week[0], tow[-1]}, "the week counts from 1980 (no roll-over), seconds of week are GPS time"
-    for name, value in header.values.items():
-        for recipe, first, last in (("mjd", 3.0e4, 7.0e4), ("jd", 2.43e6, 2.47e6)):
-            if recipe in name.lower() and value.ndim == 1 and first < float(np.nanmedian(value)) < last:
-                return f'{{ recipe = "{recipe}", columns = {json.dumps(name)} }}', {name}, "that these days are UTC"
-    for name, value in sorted(header.values.items(), key=lambda one: not likely.search(one[0])):
-        size = float(np.nanmedian(value)) if value.ndim == 1 and likely.search(name) else 0.0
-        if re.search("gps", name, re.IGNORECASE) and 6.0e8 < size < 4.0e9:
-            doubt = f"{name} looks like seconds of GPS time since 1980"
-            return f'{{ recipe = "gps_s", columns = {json.dumps(name)} }}', {name}, doubt
-        for recipe, unit in (("unix_ns", 1e9), ("unix_us", 1e6), ("unix_ms", 1e3), ("unix_s", 1.0)):
-            if 2.0e8 * unit < size < 4.0e9 * unit and not re.search("tai|2000", name, re.IGNORECASE):
-                nano = [n for n in header.values if n != name and re.search(r"ns$|nano", n, re.IGNORECASE)]
-                doubt = f"{name} looks like Unix time; that it is UTC, and the spacecraft's own stamp, is a guess"
-                if recipe == "unix_s" and nano and re.search("time|stamp|ns", nano[0], re.IGNORECASE):
-                    text = f'{{ recipe = "seconds_ns", columns = {json.dumps([name, nano[0]])} }}'
-                    return text, {name, nano[0]}, doubt
-                return f'{{ recipe = "{recipe}", columns = {json.dumps(name)} }}', {name}, doubt
-    counted = [n for n, v in header.values.items() if likely.search(n) and v.ndim == 1 and np.all(np.diff(v) >= 0.0)]
-    if counted:
-        scale = next((one for one in ("TAI", "GPS", "TT") if re.search(rf"(?i)(^|_| ){one}", counted[0])), None)
-        more = f', scale = "{scale}"' if scale else ""
-        epoch = '"2000-01-01T12:00:00Z"'
-        text = f'{{ recipe = "seconds_since", columns = {json.dumps(counted[0])}, epoch = {epoch}{more} }}'
-        return text, {counted[0]}, f"the epoch from which {counted[0]} counts seconds is not known"
-    raise BadInput(
-        f"no column looks like time; the columns are: {', '.join(header.names[:12])}",
-        where=str(header.path),
-        wanted="ISO 8601 stamps, Unix time, GPS week and seconds, or seconds since an epoch",
-    )
-
-
 _Found = tuple[str, list[str], dict[str, object], list[str]]
 
 
 def _quantities(header: Header, free: list[str]) -> list[_Found]:
     """Quantity, columns, keys of the map, doubts."""
     out: list[_Found] = []
-    quaternion = _quaternion(header, free)
-    attitude = quaternion or _angles(header, free) or _matrix(header, free)
+    ours = [name for name in free if not (_NO_STATE.search(_stem([name])) or "cmd" in name.lower())]
+    attitude = _quaternion(header, ours) or _angles(header, ours) or _matrix(header, ours)
     if attitude is not None:
         out.append(attitude)
         stem = attitude[1][0][:-2] if "vectors" in attitude[2] else None  # the middle column of a matrix goes with it
@@ -310,17 +261,32 @@ def _quantities(header: Header, free: list[str]) -> list[_Found]:
     for columns, kind in zip(triples, kinds, strict=True):
         if kind is not None:
             out.append(_vector(header, kind, columns))
-        elif by_file is not None and by_file not in [*kinds, *(one[0] for one in out)]:
-            quantity, _, keys, doubts = _vector(header, by_file, columns)
-            out.append((quantity, columns, keys, [f"{quantity}: that it is one (by the name of the file)", *doubts]))
+    for columns in (columns for columns, kind in zip(triples, kinds, strict=True) if kind is None):
+        seen = [one[0] for one in out]
+        likely = _likely(header, columns, seen)
+        by_name = likely is not None and _stem(columns) not in ("", "km", "m")
+        if by_file is not None and by_file not in seen and not by_name:
+            likely = by_file
+        if likely is not None:
+            quantity, _, keys, doubts = _vector(header, likely, columns)
+            said = (
+                f"that {', '.join(columns)} are one"
+                if likely != by_file
+                else "that it is one (by the name of the file)"
+            )
+            out.append((quantity, columns, keys, [f"{quantity}: {said}", *doubts]))
     if not any(one[0] == "position" for one in out):
-        out += _place(header, free)
+        out += _place(header, ours)
     taken = {name for _, columns, _, _ in out for name in columns}
+    wheels = [name for name in free if name not in taken and _WHEEL.search(name.lower()) and _is_number(header, name)]
+    if wheels:
+        out.append(("wheel_speed", wheels, {"unit": "rpm"}, [f"that {', '.join(wheels)} are speeds, and the unit"]))
+        taken |= set(wheels)
     for name in free:
         low = re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")
-        if name in taken or name not in header.values or header.values[name].ndim != 1:
+        if name in taken or not _is_number(header, name):
             continue
-        if re.search(r"temp|^t_|_t$|deg_?c$", low) and "temperature" not in [one[0] for one in out]:
+        if re.search(r"temp|^tm(ag|tm)(_|$)|^t_|_t$|deg_?c$", low) and "temperature" not in [one[0] for one in out]:
             hot = float(np.nanmedian(header.values[name])) > 150.0
             unit = "K" if hot else "degC"
             out.append(
@@ -337,7 +303,37 @@ def _quantities(header: Header, free: list[str]) -> list[_Found]:
 
 
 def _kind(stem: str) -> str | None:
-    return next((quantity for quantity, pattern in _KINDS if pattern.search(stem)), None)
+    found = next((quantity for quantity, pattern in _KINDS if pattern.search(stem)), None)
+    found = None if _NO_STATE.search(stem) else found
+    return None if found in _IN_BODY and _ELSEWHERE.search(stem) else found
+
+
+def _likely(header: Header, columns: list[str], seen: list[str]) -> str | None:
+    """A quantity that is not there yet, whose size these columns have if it has a typical one."""
+    stem = _stem(columns)
+    for quantity, pattern in _LIKELY:
+        if _NO_STATE.search(stem):
+            return None
+        if quantity not in seen and pattern.search(stem) and not (quantity in _IN_BODY and _ELSEWHERE.search(stem)):
+            size = _size(header, columns)
+            if quantity not in _SIZES or any(low <= size <= high for _, low, high in _SIZES[quantity]):
+                return quantity
+    return None
+
+
+def _is_number(header: Header, name: str) -> bool:
+    return name in header.values and header.values[name].ndim == 1
+
+
+def _rows_that_count(header: Header) -> list[str]:
+    """A line on the columns that look as if they said which rows are good."""
+    found = [
+        name
+        for name, value in header.values.items()
+        if _GOOD.search(name) and value.ndim == 1 and set(np.unique(value[np.isfinite(value)])) == {0.0, 1.0}
+    ]
+    text = " and ".join(f'"{name}" == 1' if re.search(r"\W", name) else f"{name} == 1" for name in found)
+    return [f"{CONFIRM} which rows count; if those with 1: where = {json.dumps(text)}"] if found else []
 
 
 def _current(header: Header, name: str) -> _Found:
@@ -388,7 +384,7 @@ def _quaternion(header: Header, free: list[str]) -> _Found | None:
         for place in [m.start() for m in re.finditer(re.escape(ends[0]), name.lower())]:
             others = [f"{name.lower()[:place]}{end}{name.lower()[place + 1 :]}" for end in ends]
             columns = [known[o] for o in others if o in known]
-            if len(columns) == 4 and "q" in name.lower() and _is_unit(header, columns):
+            if len(columns) == 4 and _ATTITUDE.search(name) and _is_unit(header, columns):
                 return _attitude(columns, order, guess)
     for name in free:
         if header.values.get(name, np.empty(0)).shape[1:] == (4,) and _is_unit(header, [name]):
@@ -451,14 +447,15 @@ def _is_unit(header: Header, columns: list[str]) -> bool:
 def _vector(header: Header, quantity: str, columns: list[str]) -> _Found:
     doubts: list[str] = []
     keys: dict[str, object] = {}
-    size = float(np.nanmedian(np.linalg.norm(_stacked(header, columns), axis=1)))
+    size = _size(header, columns)
     if quantity not in ("sun", "nadir"):
         stated = _stated_unit(header, quantity, columns)
         likely = [unit for unit, low, high in _SIZES.get(quantity, ()) if low <= size <= high]
         default = {"mag": "nT", "position": "km", "velocity": "km/s", "rate": "deg/s", "dipole": "Am2"}[quantity]
         keys["unit"] = stated or (likely[0] if likely else default)
         if stated is None:
-            counts = "" if likely else ", which fits no unit: counts? then add scale = nT per count"
+            odd = f", which fits no unit: counts? then add scale = {keys['unit']} per count"
+            counts = odd if quantity in _SIZES and not likely else ""
             counts = ", counts by their name: then add scale and offset" if _COUNTS.search(columns[0]) else counts
             why = f"median size {size:.4g}{counts}"
             doubts.append(f"{quantity}: the unit ({why})")
@@ -473,10 +470,17 @@ def _vector(header: Header, quantity: str, columns: list[str]) -> _Found:
     if quantity in ("position", "velocity"):
         frame = _frame(_stem(columns))
         by_receiver = re.search(r"gps|gnss", " ".join([header.sheet or header.path.stem, *columns]).lower())
+        frame = frame if frame in POSITIONS or canonical(str(frame)) in POSITIONS else None
         keys["frame"] = frame or ("ITRS" if by_receiver else "GCRS")
         if frame is None:
             doubts.append(f"{quantity}: the frame (GCRS J2000 true_of_date ITRS)")
     return quantity, columns, dict(keys), doubts
+
+
+def _size(header: Header, columns: list[str]) -> float:
+    """Median length of a vector; NaN where there is none."""
+    length = np.linalg.norm(_stacked(header, columns), axis=1)
+    return float(np.median(length[np.isfinite(length)])) if np.isfinite(length).any() else float("nan")
 
 
 def _stands_out(stacked: FloatArray, value: float) -> bool:
@@ -512,79 +516,3 @@ def _stem(columns: list[str]) -> str:
 def _stacked(header: Header, columns: list[str]) -> FloatArray:
     parts = [header.values[column] for column in columns]
     return parts[0] if len(parts) == 1 and parts[0].ndim == 2 else np.stack(parts, axis=1)
-
-
-def headers_of(path: Path) -> list[Header]:
-    """The headers of the sheets of a workbook that has several, or of the file. Raises BadInput as `header_of`."""
-    known = format_of(path)
-    sheets = known.sheets_of(path) if known is not None else []
-    return [header_of(path, sheet) for sheet in sheets] if len(sheets) > 1 else [header_of(path)]
-
-
-def header_of(path: Path, sheet: str | None = None) -> Header:
-    """The header of a file, or of a sheet of it, and numbers of its first rows. Raises BadInput for a file that cannot be
-    read."""
-    if path.name.lower().endswith((".nc", ".nc4", ".h5")):
-        with NetcdfFile(path) as opened:
-            return _netcdf_header(path, opened)
-    if (table := table_of(path, MAX_SAMPLES, sheet)) is not None:
-        return _table_header(path, table, sheet)
-    refuse_toml(path)
-    csv = open_csv(path)
-    found = Header(path, list(csv.names), rows=csv.rows)
-    for name in csv.names:
-        _look(csv, name, found)
-    return found
-
-
-def _look(csv: CsvFile, name: str, header: Header) -> None:
-    """Whether a column holds numbers or stamps."""
-    text = csv.text(name)[:_SAMPLE]
-    header.texts[name] = [cell.decode("utf-8", "replace").strip() for cell in text[:20].tolist() if cell.strip()]
-    if any(re.match(rb"\s*\d{4}-\d\d-\d\d[T ]\d\d:", bytes(cell)) for cell in text[:20]):
-        header.iso.append(name)
-        return
-    try:
-        header.values[name] = np.array([float(cell) if cell.strip() else np.nan for cell in text.tolist()])
-        return
-    except ValueError:
-        pass
-    try:
-        listed = from_lists(csv.text(name, width=400)[:_SAMPLE], name, csv.where)
-    except BadInput:
-        return
-    if listed.shape[1] in (3, 4):
-        header.values[name] = listed
-
-
-def _table_header(path: Path, table: Table, sheet: str | None) -> Header:
-    found = Header(path, table.names(), units=dict(table.units), sheet=sheet, frame=table.attributes.get("frame"))
-    for name, value in table.columns.items():
-        found.rows = max(found.rows, len(value))
-        if value.dtype.kind == "M":
-            found.cf.append(name)
-        elif value.dtype.kind == "S":
-            found.iso += (
-                [name] if any(re.match(rb"\s*\d{4}-\d\d-\d\d[T ]\d\d:", cell) for cell in value[:20].tolist()) else []
-            )
-        elif value.ndim <= 2:
-            found.values[name] = np.asarray(value[:_SAMPLE], dtype=np.float64)
-    return found
-
-
-def _netcdf_header(path: Path, opened: NetcdfFile) -> Header:
-    header = Header(path, list(opened.names()))
-    for name in header.names:
-        units = str(opened.attributes(name).get("units", ""))
-        header.units[name] = units
-        if " since " in units:
-            header.cf.append(name)
-            continue
-        try:
-            value = np.asarray(opened.numbers(name))
-        except BadInput:
-            continue
-        if value.ndim in (1, 2) and len(value):
-            header.values[name] = value[:_SAMPLE]
-            header.rows = max(header.rows, len(value))
-    return header

@@ -1,11 +1,36 @@
-"""A guess at the format of stamps that are text but not ISO 8601: one column, or date and time apart."""
+"""A guess at the recipe for time of a foreign file, by the names and the sizes of its columns."""
 
 from __future__ import annotations
 
 import itertools
+import json
+import re
 from collections.abc import Mapping, Sequence
 from datetime import datetime
 
+import numpy as np
+
+from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.telemetry.column_map_draft_header import Header
+
+_LIKELY = re.compile(
+    r"time|date|utc|tai|stamp|epoch|unix|zeit|^t($|_)|^ts|sec|week|tow|sow|clock|sclk|obt|t_?tag|(^|_)(met|jd|sod|et)(_|$)",
+    re.IGNORECASE,
+)
+_WEEK = re.compile(r"week|(^|_)(gps_?)?(wn|wno|wk)(_|$)|(^|_)gpsw(_|$)", re.IGNORECASE)
+_OF_WEEK = re.compile(r"tow|sow|week.*sec|sec.*week|seconds?_?of|gps_?s(ec(onds?)?)?(_|$)", re.IGNORECASE)
+_WEEK_S = 604800.0
+_GROUND = re.compile(r"rece|ground|arriv|download|(^|_)rx(_|$)", re.IGNORECASE)
+_COUNTS = (
+    ("mjd", r"mjd", 3.0e4, 7.0e4, "that these days are UTC"),
+    ("jd", r"jd|jul", 2.43e6, 2.47e6, "that these days are UTC"),
+    ("mjd2000", r"mjd|2000|2k", 3.0e3, 2.0e4, "that these are days of UTC since 2000"),
+    ("gps_s", r"gps", 6.0e8, 4.0e9, "{} looks like seconds of GPS time since 1980"),
+    ("tai_s", r"tai", 1.5e9, 4.0e9, "{} looks like seconds of TAI since 1958"),
+    ("j2000_s", r"j2000|j2k|(^|_)et(_|$)|tdb", 1.0e8, 3.0e9, "{} looks like seconds since 2000-01-01 12:00 TT"),
+)
+"""Recipes that a name states: what is in it, the smallest and largest median, what is doubtful."""
 _DATES = (
     "%Y-%m-%d",
     "%Y/%m/%d",
@@ -23,7 +48,84 @@ _ENDS = ("", "Z", " %z", "%z")
 _BETWEEN = (" ", "T", "-", "_")
 
 
-def text_format(texts: Mapping[str, Sequence[str]]) -> tuple[list[str], str, str] | None:
+def recipe(header: Header) -> tuple[str, set[str], str]:
+    """The recipe as it stands in a map, the columns it takes, and what is doubtful in it.
+
+    Raises BadInput where no column looks like time.
+    """
+    if header.cf:
+        return f'{{ recipe = "cf", columns = {json.dumps(header.cf[0])} }}', {header.cf[0]}, ""
+    for name in sorted(header.iso, key=lambda one: not _LIKELY.search(one)):
+        ground = f"that {name} is the spacecraft's own stamp, not that of the ground" if _GROUND.search(name) else ""
+        return f'{{ recipe = "iso", columns = {json.dumps(name)} }}', {name}, ground
+    written = _text_format(header.texts)
+    if written is not None:
+        names, form, doubt = written
+        return f'{{ recipe = "text", columns = {json.dumps(names)}, format = {json.dumps(form)} }}', set(names), doubt
+    numbers = {name: value for name, value in header.values.items() if value.ndim == 1 and np.isfinite(value).any()}
+    found = _weeks(numbers) or _stated(numbers) or _unix(numbers) or _counted(numbers)
+    if found is None:
+        raise BadInput(
+            f"no column looks like time; the columns are: {', '.join(header.names[:12])}",
+            where=str(header.path),
+            wanted="ISO 8601 stamps, Unix time, GPS week and seconds, or seconds since an epoch",
+        )
+    return found
+
+
+def _weeks(numbers: Mapping[str, FloatArray]) -> tuple[str, set[str], str] | None:
+    """GPS week and second of week."""
+    weeks = [n for n, v in numbers.items() if _WEEK.search(n) and np.nanmax(v) < 1e4 and not np.any(v % 1.0 > 0.0)]
+    seconds = [n for n, v in numbers.items() if _OF_WEEK.search(n) and np.nanmin(v) >= 0.0 and np.nanmax(v) <= _WEEK_S]
+    for week, second in itertools.product(weeks, seconds):
+        if week != second:
+            doubt = "the week counts from 1980 (no roll-over), seconds of week are GPS time"
+            return f'{{ recipe = "gps_week_tow", columns = {json.dumps([week, second])} }}', {week, second}, doubt
+    return None
+
+
+def _stated(numbers: Mapping[str, FloatArray]) -> tuple[str, set[str], str] | None:
+    """A recipe that the name of a column states and its size confirms."""
+    for how, word, first, last, doubt in _COUNTS:
+        for name, value in numbers.items():
+            if re.search(word, name, re.IGNORECASE) and first < float(np.nanmedian(value)) < last and _runs(value):
+                return f'{{ recipe = "{how}", columns = {json.dumps(name)} }}', {name}, doubt.format(name)
+    return None
+
+
+def _unix(numbers: Mapping[str, FloatArray]) -> tuple[str, set[str], str] | None:
+    """Unix time by its size: in a column with a likely name, or in any other that runs on."""
+    for name in sorted(numbers, key=lambda one: not _LIKELY.search(one)):
+        size = float(np.nanmedian(numbers[name])) if _LIKELY.search(name) or _runs(numbers[name]) else 0.0
+        for how, unit in (("unix_ns", 1e9), ("unix_us", 1e6), ("unix_ms", 1e3), ("unix_s", 1.0)):
+            if 2.0e8 * unit < size < 4.0e9 * unit and not re.search("tai|2000", name, re.IGNORECASE):
+                nano = [n for n in numbers if n != name and re.search(r"ns$|nano|nsec", n, re.IGNORECASE)]
+                doubt = f"{name} looks like Unix time; that it is UTC, and the spacecraft's own stamp, is a guess"
+                if how == "unix_s" and nano:
+                    text = f'{{ recipe = "seconds_ns", columns = {json.dumps([name, nano[0]])} }}'
+                    return text, {name, nano[0]}, doubt
+                return f'{{ recipe = "{how}", columns = {json.dumps(name)} }}', {name}, doubt
+    return None
+
+
+def _counted(numbers: Mapping[str, FloatArray]) -> tuple[str, set[str], str] | None:
+    """Seconds since an epoch that is not known."""
+    name = next((name for name, value in numbers.items() if _LIKELY.search(name) and _runs(value)), None)
+    if name is None:
+        return None
+    scale = next((one for one in ("TAI", "GPS", "TT") if re.search(rf"(?i)(^|_| ){one}", name)), None)
+    more = f', scale = "{scale}"' if scale else ""
+    text = f'{{ recipe = "seconds_since", columns = {json.dumps(name)}, epoch = "2000-01-01T12:00:00Z"{more} }}'
+    return text, {name}, f"the epoch from which {name} counts seconds is not known"
+
+
+def _runs(value: FloatArray) -> bool:
+    """Whether the numbers never fall, and mostly rise."""
+    step = np.diff(value[np.isfinite(value)])
+    return bool(np.all(step >= 0.0) and np.mean(step > 0.0) > 0.5) if step.size else True
+
+
+def _text_format(texts: Mapping[str, Sequence[str]]) -> tuple[list[str], str, str] | None:
     """The columns, their format as strptime has it, and what is doubtful; None where no text is a stamp.
 
     texts: some cells of every column of text.

@@ -31,6 +31,8 @@ R_BN = Rotation.from_rotvec(np.outer(np.arange(200) * 0.02, [0.2, 0.5, 0.1]))
 MAG = R_BN.apply(field_N_nT(load_field("igrf14"), TIME, R))
 Q = frames.q_from_rotation(R_BN)
 UNIX = TIME.astype("int64") * 1e-9
+GPS = UNIX - 315964800.0 + 18.0
+"""18 leap seconds since 1980."""
 
 
 def table(path: Path, columns: dict[str, np.ndarray]) -> Path:
@@ -65,6 +67,31 @@ HEADERS = {
         **triple("quat_1 quat_2 quat_3 quat_4", Q),
         **triple("pos_j2000_x pos_j2000_y pos_j2000_z", R),
     },
+    "GPS week and second, capitals without a word": {
+        "WN": np.floor(GPS / 604800.0),
+        "SOW": GPS % 604800.0,
+        **triple("MGX MGY MGZ", MAG * 1e-2),
+        **triple("X_km Y_km Z_km", R),
+        **triple("VX_kms VY_kms VZ_kms", V),
+        **triple("Q0 Q1 Q2 Q3", Q[:, [3, 0, 1, 2]]),
+    },
+    "small letters, seconds and nanoseconds, what is no reading first": {
+        "sec": np.floor(UNIX),
+        "nsec": (UNIX % 1.0) * 1e9,
+        **triple("b_igrf_x b_igrf_y b_igrf_z", MAG[::-1]),
+        **triple("omega_b_x omega_b_y omega_b_z", 0.001 * V),
+        **triple("mx my mz", MAG * 1e-3),
+        **triple("px py pz", R),
+        **triple("qi qj qk qs", Q),
+    },
+    "a time tag, flux gate, orbit words, letters of a quaternion": {
+        "TTAG": UNIX,
+        **triple("MTQX MTQY MTQZ", 0.1 * V),
+        **triple("FGX FGY FGZ", MAG),
+        **triple("SCX SCY SCZ", R * 1e3),
+        **triple("SCVX SCVY SCVZ", V * 1e3),
+        **triple("ATT_A ATT_B ATT_C ATT_D", Q[:, [3, 0, 1, 2]]),
+    },
 }
 
 
@@ -78,6 +105,10 @@ def test_a_drafted_map_reads_the_file_where_its_guesses_are_right(
     close(record.mag_B_nT, MAG, atol=1e-6, unit="nT", because="the same numbers in another unit")
     assert record.r_N_km is not None
     close(record.r_N_km, R, atol=0.01, unit="km", because="J2000 axes are 23 mas from GCRS, 0.8 m")
+    assert record.q_NB is not None
+    inner = np.abs(np.sum(record.q_NB * Q, axis=1))
+    close(inner, 1.0, atol=1e-9, unit="", because="the same quaternion in another order, to the digits of the file")
+    assert np.abs(record.time - TIME).max() <= np.timedelta64(1, "us")  # doubles near 1.6e9 s
     off = (frames.rotation_from_q(record.q_NB) * R_BN.inv()).magnitude()
     close(off, 0.0, atol=1e-6, unit="rad", because="the same quaternion in another order")
 
@@ -89,6 +120,37 @@ def test_guesses_are_marked_and_what_is_plain_is_not(tmp_path: Path) -> None:
     assert any("relative_to" in line for line in marked)
     assert any("velocity: the frame" in line for line in marked)
     assert not any("unit" in line for line in marked), "the header states them"
+
+
+def test_what_only_a_short_name_says_is_to_be_confirmed(tmp_path: Path) -> None:
+    text = draft([table(tmp_path / "t.csv", HEADERS["GPS week and second, capitals without a word"])])
+    for said in (
+        "mag: that MGX, MGY, MGZ are one",
+        "position: that X_km, Y_km, Z_km are one",
+        "the week counts from 1980",
+    ):
+        assert f"{CONFIRM} {said}" in text
+
+
+def test_numbers_about_a_quantity_are_not_the_quantity(tmp_path: Path) -> None:
+    beside = {
+        **triple("rpyCmdYaw rpyCmdPitch rpyCmdRoll", 0.01 * V),
+        **triple("gyroBiasX gyroBiasY gyroBiasZ", V),
+        **triple("gyroX gyroY gyroZ", V),
+        "received_stamp_ms": UNIX * 1e3,
+    }
+    text = draft([table(tmp_path / "t.csv", {**beside, **HEADERS["milliseconds, uT, scalar first, ECEF metres"]})])
+    assert '"gyroX", "gyroY", "gyroZ"' in text and '"q0", "q1", "q2", "q3"' in text
+    assert "driver_" not in text  # a stamp has "amp" in it
+
+
+def test_a_column_that_says_which_rows_count_is_offered(tmp_path: Path) -> None:
+    columns = {**HEADERS["ISO, bracketed units, ECI"], "FIX VALID": (np.arange(200) > 3).astype(float)}
+    text = draft([table(tmp_path / "t.csv", columns)])
+    (line,) = [line for line in text.splitlines() if "which rows count" in line]
+    stated = line.partition("if those with 1: ")[2]
+    (tmp_path / "map.toml").write_text(text.replace(line, stated))
+    assert len(read_telemetry(tmp_path / "t.csv", column_map=tmp_path / "map.toml")) == 196
 
 
 def test_a_second_magnetometer_is_left_out_with_the_line_that_takes_it_in(tmp_path: Path) -> None:

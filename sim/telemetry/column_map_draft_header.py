@@ -1,0 +1,121 @@
+"""What a draft of a column map looks at: the names of the columns of a foreign file, and some of its numbers."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import MutableMapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.limits import MAX_SAMPLES
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.telemetry.column_map_values import from_lists
+from fluxtwin.sim.telemetry.csv_files import CsvFile, open_csv
+from fluxtwin.sim.telemetry.formats.catalogue import format_of, table_of
+from fluxtwin.sim.telemetry.formats.table import Table
+from fluxtwin.sim.telemetry.netcdf_files import NetcdfFile
+from fluxtwin.sim.telemetry.telemetry_files import refuse_toml
+
+_SAMPLE = 2000
+
+
+@dataclass
+class Header:
+    """Names of the columns of one file, and numbers of a few rows."""
+
+    path: Path
+    names: list[str]
+    values: MutableMapping[str, FloatArray] = field(default_factory=dict)
+    """Columns (n,) or variables (n, k) that are numbers."""
+    iso: list[str] = field(default_factory=list)
+    """Columns of ISO 8601 stamps."""
+    cf: list[str] = field(default_factory=list)
+    """NetCDF variables with units "... since"."""
+    units: dict[str, str] = field(default_factory=dict)
+    rows: int = 0
+    texts: dict[str, list[str]] = field(default_factory=dict)
+    """Some cells of the columns of a CSV as they stand."""
+    sheet: str | None = None
+    pattern: str = ""
+    """Of the names of several files with this header."""
+    frame: str | None = None
+    """Of its attitude or orbit, where the format states it."""
+
+
+def headers_of(path: Path) -> list[Header]:
+    """The headers of the sheets of a workbook that has several, or of the file. Raises BadInput as `header_of`."""
+    known = format_of(path)
+    sheets = known.sheets_of(path) if known is not None else []
+    return [header_of(path, sheet) for sheet in sheets] if len(sheets) > 1 else [header_of(path)]
+
+
+def header_of(path: Path, sheet: str | None = None) -> Header:
+    """The header of a file, or of a sheet of it, and numbers of its first rows. Raises BadInput for a file that cannot be
+    read."""
+    if path.name.lower().endswith((".nc", ".nc4", ".h5")):
+        with NetcdfFile(path) as opened:
+            return _netcdf_header(path, opened)
+    if (table := table_of(path, MAX_SAMPLES, sheet)) is not None:
+        return _table_header(path, table, sheet)
+    refuse_toml(path)
+    csv = open_csv(path)
+    found = Header(path, list(csv.names), rows=csv.rows)
+    for name in csv.names:
+        _look(csv, name, found)
+    return found
+
+
+def _look(csv: CsvFile, name: str, header: Header) -> None:
+    """Whether a column holds numbers or stamps."""
+    text = csv.text(name)[:_SAMPLE]
+    header.texts[name] = [cell.decode("utf-8", "replace").strip() for cell in text[:20].tolist() if cell.strip()]
+    if any(re.match(rb"\s*\d{4}-\d\d-\d\d[T ]\d\d:", bytes(cell)) for cell in text[:20]):
+        header.iso.append(name)
+        return
+    try:
+        header.values[name] = np.array([float(cell) if cell.strip() else np.nan for cell in text.tolist()])
+        return
+    except ValueError:
+        pass
+    try:
+        listed = from_lists(csv.text(name, width=400)[:_SAMPLE], name, csv.where)
+    except BadInput:
+        return
+    if listed.shape[1] in (3, 4):
+        header.values[name] = listed
+
+
+def _table_header(path: Path, table: Table, sheet: str | None) -> Header:
+    found = Header(path, table.names(), units=dict(table.units), sheet=sheet, frame=table.attributes.get("frame"))
+    for name, value in table.columns.items():
+        found.rows = max(found.rows, len(value))
+        if value.dtype.kind == "M":
+            found.cf.append(name)
+        elif value.dtype.kind == "S":
+            found.iso += (
+                [name] if any(re.match(rb"\s*\d{4}-\d\d-\d\d[T ]\d\d:", cell) for cell in value[:20].tolist()) else []
+            )
+        elif value.ndim <= 2:
+            found.values[name] = np.asarray(value[:_SAMPLE], dtype=np.float64)
+    return found
+
+
+def _netcdf_header(path: Path, opened: NetcdfFile) -> Header:
+    header = Header(path, list(opened.names()))
+    for name in header.names:
+        units = str(opened.attributes(name).get("units", ""))
+        header.units[name] = units
+        if " since " in units:
+            header.cf.append(name)
+            continue
+        try:
+            value = np.asarray(opened.numbers(name))
+        except BadInput:
+            continue
+        if value.ndim in (1, 2) and len(value):
+            header.values[name] = value[:_SAMPLE]
+            header.rows = max(header.rows, len(value))
+    return header

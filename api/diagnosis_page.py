@@ -12,7 +12,7 @@ from fluxtwin.calibration_page import parameter_tables
 from fluxtwin.gap.held_out.closing import calibration
 from fluxtwin.gap.records.diagnosis import Diagnosis, Law
 from fluxtwin.gap.report.advice import typical_size
-from fluxtwin.gap.report.words import FIRST
+from fluxtwin.gap.report.words import APART_FROM_THEM, FIRST
 from fluxtwin.scenarios.page import FigureBlock, Page, PageSection, Table
 from fluxtwin.sim.base.files import to_json
 from fluxtwin.sim.effects.catalogue import CATALOGUE
@@ -110,6 +110,8 @@ def _next_step(diagnosis: Diagnosis) -> str:
         return "diagnose again with --magnetometer 2: the two magnetometers differ, and the first shows no gap."
     if diagnosis.verdict == "no_gap":
         return "nothing needs correcting. The tables below say what these data could not have shown."
+    if APART_FROM_THEM in diagnosis.sentence:
+        return "find out why these rows are wrong, or leave their readings blank; the others need nothing."
     if diagnosis.verdict == "unknown" or any(len(effect.group) > 1 for effect in diagnosis.effects):
         return "run fluxtwin plan with the same file; it proposes what to fly to find out."
     if diagnosis.transfers is not None:
@@ -152,7 +154,8 @@ def where_lines(diagnosis: Diagnosis) -> list[str]:
     lines = [f"Where: {', '.join(parts) or 'no particular place'}."]
     if equal := [stage for stage in place.equivalent if stage not in likely["stage"]]:
         lines.append(f"On this orbit and attitude it could equally be at stage: {', '.join(equal)}.")
-    if any(len(effect.group) > 1 for effect in diagnosis.effects) or diagnosis.verdict == "unknown":
+    unknown = diagnosis.verdict == "unknown" and APART_FROM_THEM not in diagnosis.sentence
+    if unknown or any(len(effect.group) > 1 for effect in diagnosis.effects):
         lines.append(PLAN)
     return lines
 
@@ -486,11 +489,11 @@ def _p_value(value: float) -> str:
 
 def _provenance(diagnosis: Diagnosis) -> dict[str, str]:
     unused = [("rows_thinned_by", 1), ("rounding_lasts_rows", 1)]  # a list: a fact may be a mapping
-    known = {key: value for key, value in diagnosis.provenance.items() if key != "design"}
+    known = {key: value for key, value in diagnosis.provenance.items() if key not in ("design", "posterior")}
     facts = {
         _FACTS.get(key, key.replace("_", " ")): str(known[key]) for key in known if (key, known[key]) not in unused
     }
-    lines = facts | {"notes": "; ".join(diagnosis.notes)}
+    lines = facts | {"notes": "; ".join(note for note in diagnosis.notes if note not in facts.values())}
     lines["modelled, re-estimated in every test"] = ", ".join(diagnosis.modelled) or "none"
     names = {"used": "used", "cut": "cut as spikes", "without_attitude": "without attitude"}
     lines["samples"] = ", ".join(f"{diagnosis.samples[key]} {words}" for key, words in names.items())

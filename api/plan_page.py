@@ -38,6 +38,8 @@ def plan_page(plan: Plan | CalibrationPlan, title: str) -> Page:
 def _fact(value: object) -> str:
     if isinstance(value, (list, tuple)):
         return ", ".join(map(_fact, value))
+    if isinstance(value, bool):
+        return "yes" if value else "no"
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 

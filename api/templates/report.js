@@ -3,7 +3,7 @@
 (() => {
   const DAY = 864e5, STEPS = [1, 2, 5, 10, 20, 50, 100, 200, 500, ...[1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 900, 1800,
     3600, 7200, 10800, 21600, 43200].map((s) => 1e3 * s), ...[1, 2, 5, 10, 20, 50, 100, 365].map((d) => d * DAY)];
-  const LEFT = 62, RIGHT = 20, TOP = 28, GAP = 34, FOOT = 36, INK = "#1b1f24", PALE = "#d9d9d9";
+  const LEFT = 62, RIGHT = 20, TOP = 28, GAP = 34, FOOT = 40, INK = "#1b1f24", PALE = "#d9d9d9";
   const PAUSE = 8; // usual steps: a pause of that length breaks a line
   const figures = [...document.querySelectorAll("figure")].filter((f) => f.querySelector("script")).map(prepare);
   if (!figures.length) return;
@@ -133,9 +133,9 @@
         rule(x(ms), top, x(ms), top + tall);
         if (index < one.panels.length - 1) continue;
         const text = iso(ms), date = text.slice(0, 10), clock = text.slice(11, step < 1e3 ? 23 : step < 6e4 ? 19 : 16);
-        if (step < DAY) c.fillText(clock, x(ms), top + tall + 10);
-        if (date === day || last < dated + 75) continue;
-        c.fillText(date, Math.min(Math.max(last, 40), width - 40), top + tall + 25);
+        if (step < DAY) c.fillText(clock, x(ms), top + tall + 14);
+        if (date === day || last < dated + 105) continue;
+        c.fillText(`${date} UTC`, Math.min(Math.max(last, 54), width - 54), top + tall + 29);
         [day, dated] = [date, last];
       }
       legend(c, panel, top - 15);

@@ -75,7 +75,7 @@ def fired_axes(D_Am2: FloatArray) -> np.ndarray:
 def never_fired_words(fired: np.ndarray) -> list[str]:
     """One sentence for each torquer axis that never fired."""
     return [
-        f"T1{j + 1}, T2{j + 1} and T3{j + 1} are not estimated: torquer {AXES[j]} never fired in this data"
+        f"T1{j + 1}, T2{j + 1} and T3{j + 1} are not estimated: torquer {AXES[j]} never fired in these data"
         for j in range(3)
         if j not in fired
     ]
@@ -137,23 +137,23 @@ def _refuse(v: FloatArray, fired: np.ndarray, moves_nT: float, relative: float, 
     if coils and axes:
         text = (
             f"the dipole of torquer {where} is in proportion to the field along {_axes_words(axes)}: "
-            f"{listed(names)} are not separable in this data. Fire the torquers independently of the field, or "
+            f"{listed(names)} are not separable in these data. Fire the torquers independently of the field, or "
             "use --parameters b,S (S then holds the effect of the torquers)"
         )
     elif coils and len(coils) > 1 and abs(v[0]) <= 0.02:
         text = (
-            f"torquers {where} always fire in the same proportion: {listed(names)} are not separable in this data. "
+            f"torquers {where} always fire in the same proportion: {listed(names)} are not separable in these data. "
             "Fire them one at a time, or use --parameters b,S"
         )
     elif coils:
         text = (
-            f"the dipole of torquer {where} never changes: {listed(names)} are not separable in this data. Switch "
+            f"the dipole of torquer {where} never changes: {listed(names)} are not separable in these data. Switch "
             "it on and off, or use --parameters b,S (b then holds the field of the torquer)"
         )
     else:
         text = (
             f"the field does not vary beyond the noise along {direction_words(of_field)}: {listed(names)} are not "
-            "separable in this data. Add orbits, days or attitudes in which it varies, or use --parameters b"
+            "separable in these data. Add orbits, days or attitudes in which it varies, or use --parameters b"
         )
         if within_noise:
             text += (
@@ -206,7 +206,7 @@ def relative_pair_words(covariance: FloatArray, names: Sequence[str], least_sigm
 
 
 def _pair(one: str, other: str, correlation: float) -> str:
-    return f"{one} and {other} are not separable in this data: correlation {correlation:.3f}"
+    return f"{one} and {other} are not separable in these data: correlation {correlation:.3f}"
 
 
 def worst_of(found: list[tuple[float, str]]) -> list[str]:

@@ -303,7 +303,7 @@ def _messages(problem: LinearProblem, solution: Solution, variation: observabili
             f"{plain(float(np.abs(solution.eiv_shift).max()), 2)}"
         )
     if problem.robust.rejected:
-        out.append(f"robust weights ({problem.options.robust}): {problem.robust.rejected} rows set aside")
+        out.append(f"robust weights ({problem.options.robust}): {problem.robust.rejected} outliers without weight")
     if problem.options.parameters != "b":
         out.append(f"{variation.words()}; condition number {plain(variation.condition_number)}")
     return tuple(out)

@@ -150,7 +150,9 @@ def _checked(
 
     found = grown(scatter())
     if found is None:
-        return _Checked(spread.total, 1.0, f"fewer than {fewest} blocks of twice their memory to check it by")
+        return _Checked(
+            spread.total, 1.0, f"too few blocks of the record (fewer than {fewest}) to compare it with their scatter"
+        )
     W, misfit, words = found
     if 0.8 < misfit < 1.25:
         words += ", whose scatter agrees with it"
@@ -203,13 +205,13 @@ def _error_words(errors: ErrorModel) -> str:
     low, high = errors.attitude_range_deg
     assert errors.attitude_sigma_deg is not None
     sigma = plain(errors.attitude_sigma_deg, 2)
-    words = f"from an attitude error of {sigma} deg (90 %: {plain(low, 2)} to {plain(high, 2)})"
-    words += f" over {plain(errors.attitude_tau_s, 2)} s" if errors.attitude_tau_s else ", white"
+    memory = f"lasting {plain(errors.attitude_tau_s, 2)} s" if errors.attitude_tau_s else "white from row to row"
+    words = f"from noise and an attitude error of {sigma} deg (90 %: {plain(low, 2)} to {plain(high, 2)}), {memory}"
     expected_nT = errors.expected_rms_nT
     if plain(float(np.hypot(expected_nT, errors.slow_nT))) == plain(expected_nT):
-        return f"{words}, and noise"
+        return words
     slow = f"slow errors of {plain(errors.slow_nT, 2)} nT over {plain(errors.slow_tau_s, 2)} s"
-    return f"{words}, {slow} (of the field model, or an effect that is not modelled), and noise"
+    return f"{words}, and {slow} (of the field model, or an effect that is not modelled)"
 
 
 def _too_few_passes(

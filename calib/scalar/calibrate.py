@@ -268,7 +268,7 @@ def _report(
     if not data.with_D:
         messages += words.missing_S(solved, data, inflation)
     if robust.rejected:
-        messages.append(f"robust weights ({options.robust}): {robust.rejected} rows set aside")
+        messages.append(f"robust weights ({options.robust}): {robust.rejected} outliers without weight")
     units = np.array([problem.rms_of[name] for name in problem.columns])
     S, b_nT, T, whole, biases = file_parameters(solved.p, covariance, data, problem.columns, problem.scale_nT, units)
     with_T = "T" in options.parameters

@@ -136,7 +136,7 @@ def _refusal(
     several = any(name[0] == "S" for name in names) and not free_bias
     less = ", fewer parameters (--parameters b)" if several else ""
     return (
-        f"|B| {kind} {what} in this data{mixed}{others}: {reason}. Add attitudes or orbits in which the field takes other "
+        f"|B| {kind} {what} in these data{mixed}{others}: {reason}. Add attitudes or orbits in which the field takes other "
         f"directions in the body{less}, or give the attitude (--method linear)"
     )
 

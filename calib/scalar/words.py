@@ -110,5 +110,5 @@ def never_fired(columns: tuple[str, ...]) -> list[str]:
     for name in columns:
         axis = "xyz".index(name[7]) + 1 if name.startswith("dipole_") else 0
         what = f"T1{axis}, T2{axis} and T3{axis}" if axis else f"the field of {name}"
-        out.append(f"{what} not estimated: {name} is zero throughout this data")
+        out.append(f"{what} not estimated: {name} is zero throughout these data")
     return out

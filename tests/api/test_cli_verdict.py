@@ -166,7 +166,7 @@ def test_pairs_are_a_table_of_five_at_most(cli: Cli, flight: Path, tmp_path: Pat
     fluxtwin.write(short, tmp_path / "short.nc")
     out = cli("calibrate", tmp_path / "short.nc").out  # type: ignore[attr-defined]
     assert 1 <= len(re.findall(r"^[Sb]\d+, [Sb]\d+ +[+-][01]\.\d{3}$", out, flags=re.MULTILINE)) <= 5
-    assert out.count("not separable in this data") <= 2  # in the verdict or the list below, once each
+    assert out.count("not separable in these data") <= 2  # in the verdict or the list below, once each
 
 
 def test_the_page_carries_the_calibration_itself(cli: Cli, flight: Path, tmp_path: Path) -> None:

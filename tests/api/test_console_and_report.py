@@ -97,7 +97,7 @@ def test_a_page_without_series_fetches_nothing_and_runs_nothing() -> None:
 def test_the_page_shows_units_numbers_and_figures() -> None:
     page = render_report(page_with("B [nT]"))
     assert page.count("B [nT]") > 5
-    assert '<td class="number">1.235</td>' in page
+    assert '<td class="number" data-of="b [mG]">1.235</td>' in page
     assert '<th scope="col" class="number">b [mG]</th>' in page
     assert page.count("data:image/png;base64,") == 1
 

@@ -121,7 +121,7 @@ def test_a_real_one_orbit_record_is_solved_not_refused(seasat: Any) -> None:
     fit = calibrate_linear(seasat.record(reading, rows=slice(281, 325)), seasat.model, method="forward")
     assert (fit.sigma["S12"] or 0.0) > 0.05
     assert ("S12", "b1") in [pair[:2] for pair in worst_pairs(fit)]
-    said = [words for words in fit.observability if "are not separable in this data: correlation" in words]
+    said = [words for words in fit.observability if "are not separable in these data: correlation" in words]
     assert len(said) == 1  # the worst pair; the others are counted
     assert "more pairs with a correlation of 0.95 or more" in said[0]
 

@@ -7,9 +7,11 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from fluxtwin.calib.common.digits import measured, plain
+from fluxtwin.calib.common.digits import measured, plain, with_sigma
+from fluxtwin.calib.common.records import parameter_unit
 from fluxtwin.calibration_page import parameter_tables
-from fluxtwin.gap.held_out.closing import calibration
+from fluxtwin.gap.held_out.closing import calibration, reestimated
+from fluxtwin.gap.problem.problem import DEFAULT_MODELLED
 from fluxtwin.gap.records.diagnosis import Diagnosis, Law
 from fluxtwin.gap.report.advice import typical_size
 from fluxtwin.gap.report.words import APART_FROM_THEM, FIRST
@@ -73,7 +75,25 @@ def _parameters(diagnosis: Diagnosis) -> list[PageSection]:
     beside = "together with the named effects" if diagnosis.effects else "without other effects"
     words = f"Re-estimated {beside}. The sigmas contain noise and attitude error only"
     more = "; the gap may have moved a value by more." if diagnosis.verdict == "unknown" else "."
-    return [PageSection("Parameters", [words + more], parameter_tables(calibration(diagnosis.closure)))]
+    tables = [*parameter_tables(calibration(diagnosis.closure)), *_reestimated(diagnosis)]
+    return [PageSection("Parameters", [words + more], tables)]
+
+
+def _reestimated(diagnosis: Diagnosis, *, with_calibration: bool = False) -> list[Table]:
+    """Values of the effects that were re-estimated, one a row; with_calibration: also S, b and T."""
+    if diagnosis.closure is None:
+        return []
+    rows = []
+    if with_calibration:
+        known = calibration(diagnosis.closure)
+        marks = {"scale_misalignment": "S", "bias": "b", "torquer_coupling": "T"}
+        for name, value in zip(known.names, known.values, strict=True):
+            effect = next((one for one, mark in marks.items() if name.startswith(mark)), "")
+            if effect in diagnosis.modelled:
+                rows.append([effect, name, *with_sigma(float(value), known.sigma[name]), parameter_unit(name)])
+    for effect, parameters in reestimated(diagnosis.closure).items():
+        rows += [[effect, key, *with_sigma(one.value, one.sigma), one.unit] for key, one in parameters.items()]
+    return [Table("Re-estimated", ["effect", "parameter", "value", "sigma", "unit"], rows)] if rows else []
 
 
 def _sentences(diagnosis: Diagnosis) -> list[str]:
@@ -124,6 +144,8 @@ def tables(diagnosis: Diagnosis) -> list[Table]:
     if _wrong_file(diagnosis):
         return []
     shown = [effects_table(diagnosis)] if diagnosis.effects else []
+    if set(diagnosis.modelled) != set(DEFAULT_MODELLED):
+        shown += _reestimated(diagnosis, with_calibration=True)
     if diagnosis.verdict == "unknown" and diagnosis.ranking:
         shown.append(ranking_table(diagnosis))
     if diagnosis.law is not None and diagnosis.law.terms:

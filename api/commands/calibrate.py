@@ -149,10 +149,13 @@ def _is_impossible(fit: Fit) -> bool:
 
 
 def _shared(pair: Pair) -> str:
+    shared, first, second = (
+        f"less than {most:.2g}" if size is None else f"{size:.1f}"
+        for size, most in zip((pair.shared_nT, *pair.own_nT), pair.most_nT, strict=True)
+    )
     return (
-        f"At {pair.samples} common instants {pair.shared_nT:.1f} nT per component are common to both (field model, "
-        f"reference attitude); {pair.own_nT[0]:.1f} and {pair.own_nT[1]:.1f} nT are specific to one of them (noise, "
-        "interference)."
+        f"At {pair.samples} common instants {shared} nT per component are common to both (field model, "
+        f"reference attitude); {first} and {second} nT are specific to one of them (noise, interference)."
     )
 
 

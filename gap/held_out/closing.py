@@ -12,7 +12,7 @@ import numpy as np
 
 from fluxtwin.calib.common.records import Calibration
 from fluxtwin.gap.noise.budget import reading_spacing
-from fluxtwin.gap.records.diagnosis import Closure, Transfer
+from fluxtwin.gap.records.diagnosis import Closure, EffectParameter, Transfer
 from fluxtwin.gap.selection.forward import RATIOS
 from fluxtwin.gap.selection.refit import Readings, covariance_of, refit
 from fluxtwin.sim.base.errors import BadInput, NoAnswer
@@ -156,11 +156,9 @@ def calibration(closure: Closure) -> Calibration:
 
     A parameter that these data do not see, or that is not re-estimated, has no sigma.
     """
-    problem, of = closure.problem, {"scale_misalignment": 0, "bias": 9, "torquer_coupling": 12}
-    instrument = corrected(problem.setting.instrument, closure.modelled)
-    T = instrument.T_nT_per_Am2
-    jacobian = Readings(problem, closure.whitener).jacobian([*closure.modelled, *closure.chosen])
-    known = covariance_of(jacobian, np.any(jacobian != 0.0, axis=(0, 1)))[0] * max(closure.variance, 1.0)
+    of = {"scale_misalignment": 0, "bias": 9, "torquer_coupling": 12}
+    instrument = corrected(closure.problem.setting.instrument, closure.modelled)
+    T, known = instrument.T_nT_per_Am2, _covariance(closure)
     into, start = np.zeros((12 if T is None else 21, len(known))), 0  # from the effects' parameters to eq. 1's
     for effect, theta in closure.modelled:
         if (first := of.get(effect.name)) is not None:
@@ -168,6 +166,32 @@ def calibration(closure: Closure) -> Calibration:
             into[first : first + len(theta), start : start + len(theta)] = sign * np.eye(len(theta))
         start += len(theta)
     return Calibration(instrument.S, instrument.b_nT, T, into @ np.nan_to_num(known) @ into.T)
+
+
+def reestimated(closure: Closure) -> dict[str, dict[str, EffectParameter]]:
+    """The effects that were re-estimated beside S, b and T, with their parameters, which come on top of a scenario's.
+
+    What the data do not see has no sigma.
+    """
+    sigma = np.sqrt(np.diag(_covariance(closure)))
+    found, start = dict[str, dict[str, EffectParameter]](), 0
+    for effect, theta in closure.modelled:
+        spread = sigma[start : start + len(theta)]
+        start += len(theta)
+        if effect.name not in _CALIBRATION:
+            found[effect.name] = {
+                one.name: EffectParameter(float(value), float(wide) if np.isfinite(wide) else None, one.unit)
+                for one, value, wide in zip(effect.parameters, theta, spread, strict=True)
+            }
+    return found
+
+
+def _covariance(closure: Closure) -> FloatArray:
+    """(p, p) of what was re-estimated and of what is named after it; not finite where the data see nothing."""
+    jacobian = Readings(closure.problem, closure.whitener).jacobian([*closure.modelled, *closure.chosen])
+    return np.asarray(
+        covariance_of(jacobian, np.any(jacobian != 0.0, axis=(0, 1)))[0] * max(closure.variance, 1.0), dtype=np.float64
+    )
 
 
 def _with_frozen(frozen: Mapping[str, Active], effect: Effect, theta: FloatArray) -> FloatArray:

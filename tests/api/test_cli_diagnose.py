@@ -212,6 +212,20 @@ def test_modelled_none_makes_the_calibration_a_candidate(late: Case, cli: Cli, t
     assert "bias" in {*answer["minimum_detectable"], *answer["untestable"]}
 
 
+def test_what_is_re_estimated_is_printed_with_sigma_and_unit(late: Case, cli: Cli) -> None:
+    outcome = cli("diagnose", late.telemetry, *FLAGS, "--modelled", "bias,scale_misalignment,time_tag_offset")
+    assert outcome.status == 0
+    rows = [line.split() for line in outcome.out.partition("Re-estimated")[2].splitlines()]
+    found = {
+        row[1]: row[2:] for row in rows if len(row) == 5 and row[0] in ("bias", "time_tag_offset", "scale_misalignment")
+    }
+    for name, truth, unit in (("offset", 15.0, "s"), ("b1", 1000.0, "nT"), ("b2", -500.0, "nT"), ("S22", -0.005, "1")):
+        value, sigma = map(float, found[name][:2])
+        assert abs(value - truth) < 4.0 * sigma and found[name][2] == unit
+    plain = cli("diagnose", late.telemetry, *FLAGS)
+    assert "Re-estimated" not in plain.out
+
+
 @pytest.fixture
 def broken(late: Case, tmp_path: Path, cli: Cli) -> Cli:
     """Diagnose a changed record and demand that nothing was written."""

@@ -63,6 +63,24 @@ def test_each_is_calibrated_and_the_shared_part_is_the_attitudes(cli: Cli, flown
     assert np.array_equal(alone.b_nT, second.b_nT)
 
 
+@pytest.mark.parametrize("noise_nT", [1.0, 60.0])
+def test_what_drowns_in_the_shared_part_is_given_a_limit_and_not_a_zero(
+    cli: Cli, tmp_path: Path, noise_nT: float
+) -> None:
+    text = SENSORS.replace("noise_nT = 20.0", "noise_nT = 1.0").replace("noise_nT = 60.0", f"noise_nT = {noise_nT}")
+    text = text.replace("sigma_deg = 0.1", "sigma_deg = 1.0").replace("tau_s = 0.0", "tau_s = 300.0")
+    (tmp_path / "s.toml").write_text(scenario_text(text, seed=2, segment="samples = 1500, step_s = 10.0"))
+    record, _ = fluxtwin.simulate(tmp_path / "s.toml")
+    fluxtwin.write(record, tmp_path / "t.nc")
+    done = cli("calibrate", tmp_path / "t.nc", "--both", "--json", tmp_path / "c.json")
+    assert "less than" in done.out and " 0.0 " not in done.out.partition("common to both")[2]
+    pair = json.loads((tmp_path / "c.json").read_text(encoding="utf-8"))["pair"]
+    assert pair["own_nT"][0] is None and pair["most_nT"][1] > 1.0
+    for own, most, truth in zip(pair["own_nT"], pair["most_nT"][1:], (1.0, noise_nT), strict=True):
+        assert own is None or abs(own - truth) < most - own
+        assert truth < 1.5 * most  # two sigma above: an estimate two sigma low may miss it
+
+
 def test_a_second_magnetometer_that_is_none_leaves_no_file(cli: Cli, flown: Path, tmp_path: Path) -> None:
     record = fluxtwin.read(flown)
     assert record.mag2_B_nT is not None

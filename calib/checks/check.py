@@ -166,7 +166,7 @@ def _origin(path: Path | str, table: FileTable, column_map: Path | str | None, t
         fixed, first = "ecef_x_km" in table.columns, False
         relative = "orbital" if "yaw_deg" in table.columns else None
         tle = tle if not fixed and "r_x_km" not in table.columns else None
-    references: dict[str, Literal["ITRS", "NEC", "orbital"]] = {"ITRS": "ITRS", "NEC": "NEC", "NED": "NEC"}
+    references: dict[str, Literal["ITRS", "NEC", "NED", "orbital"]] = {"ITRS": "ITRS", "NEC": "NEC", "NED": "NED"}
     references |= {"orbital": "orbital", "sun_nadir": "orbital", "nadir_sun": "orbital"}
     return Origin(
         "ITRS" if fixed else "GCRS",

@@ -104,7 +104,7 @@ def shifted(
     if origin.attitude == "ITRS":
         return field, sample.R_BN * stated.inv() * R_EN
     old, new = frames.rotation_ON(sample.r_N_km, sample.v_N_km_s), frames.rotation_ON(r, v)
-    if origin.attitude == "NEC":
+    if origin.attitude in ("NEC", "NED"):  # the vertical turns by as much, whichever it is
         old = frames.rotation_NEC_E(stated.apply(sample.r_N_km)) * stated
         new = frames.rotation_NEC_E(R_EN.apply(r)) * R_EN
     return field, sample.R_BN * old.inv() * new

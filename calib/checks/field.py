@@ -25,7 +25,7 @@ from fluxtwin.calib.checks.clock import (
     shifts_s,
 )
 from fluxtwin.calib.checks.evidence import Evidence, MODEL_nT, scalar_evidence, vector_evidence
-from fluxtwin.calib.checks.orientation import FAR_BETTER, ORIENTATION, SINGLE_COST, Hypothesis, orientations
+from fluxtwin.calib.checks.orientation import FAR_BETTER, LOCAL, ORIENTATION, SINGLE_COST, Hypothesis, orientations
 from fluxtwin.calib.checks.outliers import check_outliers, without_gross_outliers
 from fluxtwin.calib.checks.report import Finding, named, note, trap
 from fluxtwin.calib.checks.sample import FEWEST, Origin, Sample, comparable, rms
@@ -146,13 +146,23 @@ def _best(tried: list[Hypothesis], evidence: Evidence, misfit_nT: FloatArray) ->
         and other.words
         and not (one.cost == other.cost == PLAIN_COST and abs(one.shift_s - other.shift_s) <= 3.0 * STEP_S)
     ]
-    doubt = f". Nearly as likely: {'; or '.join(rivals[:2])}" if rivals else ""
+    others = "; or ".join(rivals[:2])
     if one.shift_s:
+        doubt = f". Nearly as likely: {others}" if rivals else ""
         return named("clock", named_shift(one.shift_s, one.words, as_is, mended) + doubt), mended
     text = (
-        f"as it stands the reading misses the model by {as_is:.0f} nT rms after a bias fit, but only by {mended:.0f} nT if "
-        f"{one.words}: {one.advice}{doubt}"
+        f"as it stands the reading misses the model by {as_is:.0f} nT rms after a bias fit, but only by {mended:.0f} nT"
     )
+    if not rivals:
+        return named(one.code, f"{text} if {one.words}: {one.advice}"), mended
+    local = all(any(word in said for word in LOCAL) for said in (one.words, rivals[0]))
+    settles = (
+        "the documentation of the attitude (its vertical is geocentric in NEC, geodetic in NED, up to 0.19 deg apart), or a "
+        "longer record"
+        if local
+        else "the documentation of the file, or a record in which the body turns about another axis"
+    )
+    text += f" if {one.words}, or if {others}: both are possible. What settles it: {settles}; {one.advice}"
     return named(one.code, text), mended
 
 

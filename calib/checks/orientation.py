@@ -1,10 +1,10 @@
 """Which way the attitude and the magnetometer's axes are meant, tested with the field model.
 
 The reading is predicted with the attitude under every convention (scalar last or first, as it is or transposed,
-relative to GCRS, Earth-fixed axes, north-east-centre or the orbital frame) and every mounting (48 signed permutations
-of the axes, and those turned by 45 deg about an axis). The plausible ones are then weighed by `check_evidence`, with
-bias, scale and misalignment free in each; a bias of any flown size is free, for uncompensated satellites fly
-with 50,000 nT.
+relative to GCRS, Earth-fixed axes, north-east-centre or -down, or the orbital frame) and every mounting (48 signed
+permutations of the axes, and those turned by 45 deg about an axis). The plausible ones are then weighed by
+`check_evidence`, with bias, scale and misalignment free in each; a bias of any flown size is free, for uncompensated
+satellites fly with 50,000 nT.
 """
 
 from __future__ import annotations
@@ -176,8 +176,11 @@ _REFERENCES = {
     "GCRS": "inertial axes (GCRS)",
     "ITRS": "Earth-fixed axes (ITRS)",
     "NEC": "north, east, centre (NEC)",
+    "NED": "geodetic north, east, down (NED)",
     "orbital": "the orbital frame",
 }
+LOCAL = (_REFERENCES["NEC"], _REFERENCES["NED"])
+"""Local axes that differ by the angle between the two verticals alone."""
 
 
 def _conventions(sample: Sample, origin: Origin) -> list[_Convention]:

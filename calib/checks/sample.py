@@ -31,8 +31,8 @@ class Origin:
     """
 
     position: Literal["GCRS", "ITRS"] = "GCRS"
-    attitude: Literal["GCRS", "ITRS", "NEC", "orbital"] = "GCRS"
-    """What it was recorded relative to; for the stamps NED is as good as NEC, sun and nadir as the orbital frame."""
+    attitude: Literal["GCRS", "ITRS", "NEC", "NED", "orbital"] = "GCRS"
+    """What it was recorded relative to; for the stamps sun and nadir are as good as the orbital frame."""
     scalar_first: bool = False
     """The map took the quaternion's first component for the scalar."""
     elements: TleSeries | None = None

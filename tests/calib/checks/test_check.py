@@ -24,7 +24,7 @@ from fluxtwin.scenarios.seasat import mission
 from fluxtwin.sim.attitude import record as attitude
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.random_streams import stream
-from fluxtwin.sim.earth import frames, sun
+from fluxtwin.sim.earth import frames, references, sun
 from fluxtwin.sim.earth.field import FieldModel, field_N_nT, load_field
 from fluxtwin.sim.earth.orbit import Orbit
 from fluxtwin.sim.run.simulate import simulate
@@ -493,3 +493,24 @@ def test_mountings_are_turns_by_eighths_and_mirrors() -> None:
 def test_a_misfit_of_the_size_is_an_rms_by_the_median() -> None:
     size = np.linspace(2e4, 5e4, 9)
     assert _misfit_nT(np.outer(size + 10.0, [0.0, 0.6, 0.8]), size) == pytest.approx(14.826)
+
+
+@pytest.mark.parametrize("truth", ["NEC", "NED"])
+def test_local_axes_that_fit_alike_are_both_named_with_what_settles_it(truth: str, model: FieldModel) -> None:
+    """Their verticals are up to 0.19 deg apart, 60 nT: forty rows with 0.3 deg and 130 nT of noise do not distinguish them,
+    200 rows with 20 nT do."""
+    rng = stream(3, "check.local_axes")
+    for rows, alike in ((40, True), (200, False)):
+        record = good(model, rows=rows, mode="tumble", altitude_km=500.0, inclination_deg=97.0)
+        assert record.q_NB is not None and record.r_N_km is not None
+        if not alike:
+            field = field_N_nT(model, record.time, np.array(record.r_N_km))
+            exact = frames.rotation_from_q(np.array(record.q_NB)).apply(field)
+            record = replace(record, mag_B_nT=exact + rng.normal(0.0, 20.0, exact.shape))
+        R_XN = references.rotation_XN(truth, record.time, np.array(record.r_N_km))
+        relative = frames.q_from_rotation(frames.rotation_from_q(np.array(record.q_NB)) * R_XN.inv())
+        (found,) = check_telemetry(replace(record, q_NB=relative), model).traps
+        assert found.code == "attitude_convention"
+        named = [name for name in ("(NEC)", "(NED)") if name in found.text]
+        assert named == (["(NEC)", "(NED)"] if alike else [f"({truth})"]), found.text
+        assert ("both are possible. What settles it: the documentation" in found.text) == alike

@@ -89,7 +89,8 @@ def diagnose(
     record = _each(whole, every)
     if instrument is None and modelled and not record.has_attitude.any():
         instrument = start_without_attitude(record, model)
-    problem = pose(record, model, modelled=modelled, budget=budget, instrument=instrument, frozen=frozen)
+    denser = _denser(moving, new * every)
+    problem = pose(record, model, modelled=modelled, budget=budget, instrument=instrument, frozen=frozen, denser=denser)
     _require_rows(problem)
     faster = None if every == 1 else whole
     channel = second_channel.channel_of(telemetry, frozen)
@@ -305,6 +306,13 @@ def new_rounding(telemetry: Telemetry) -> tuple[Telemetry, int]:
     while _repeated(telemetry.mag_B_nT[::every]) > _REPEATED and len(telemetry) >= 2 * every * _FEWEST_ROWS:
         every *= 2
     return _each(telemetry, every), every
+
+
+def _denser(telemetry: Telemetry, every: int) -> Telemetry | None:
+    """The record for the motion between each `every`-th of its rows, these among them; None where there is no more of it."""
+    steps = (step for step in range(1, every) if every % step == 0 and len(telemetry) <= step * MOST_ROWS_FAST)
+    step = next(steps, None)
+    return None if step is None else _each(telemetry, step)
 
 
 def _each(telemetry: Telemetry, every: int) -> Telemetry:

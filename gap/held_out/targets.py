@@ -103,7 +103,9 @@ def _cut(setting: Setting, rows: np.ndarray) -> Setting:
     r, v, R_BN = setting.given
     number = np.flatnonzero(rows)
     columns = {name: column[rows] for name, column in setting.columns.items()}
-    motion = RecordedMotion(setting.time[rows], r[rows], v[rows], R_BN[number], columns.get("rate_B_rad_s"))
+    denser = setting.motion.denser if isinstance(setting.motion, RecordedMotion) else None
+    gyro = columns.get("rate_B_rad_s")
+    motion = RecordedMotion(setting.time[rows], r[rows], v[rows], R_BN[number], gyro, denser=denser)
     return Setting(setting.time[rows], motion, "predict", setting.model, setting.instrument, columns)
 
 
@@ -117,7 +119,11 @@ def _moved(flown: Setting, days: float, regime: str | None) -> Setting:
     motion: Motion
     if regime in (None, "same"):
         R = R_BN if regime == "same" else R_BN * flown.R_ON.inv() * frames.rotation_ON(r, v)
-        motion = RecordedMotion(time, r, v, R, columns.get("rate_B_rad_s"))
+        denser = flown.motion.denser if regime == "same" and isinstance(flown.motion, RecordedMotion) else None
+        if denser is not None:
+            since_s = epoch.seconds_since(denser.time, flown.time[0])
+            denser = dataclasses.replace(denser, time=epoch.add_seconds(time[0], since_s))
+        motion = RecordedMotion(time, r, v, R, columns.get("rate_B_rad_s"), denser=denser)
     else:
         columns.pop("rate_B_rad_s", None)
         motion = PlannedMotion(time, r, v, _regime(str(regime), time[0]))

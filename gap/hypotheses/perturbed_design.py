@@ -14,7 +14,6 @@ from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from fluxtwin.gap.hypotheses.conditions import Condition, conditions
 from fluxtwin.gap.linear.projection import span_of
@@ -64,12 +63,9 @@ class PerturbedDesign:
         if not any(size > 0 for size, _ in parts) or not isinstance(motion, RecordedMotion):
             return
         rng = np.random.default_rng(_SEED)
-        turn = np.zeros((problem.rows, 3))
-        for size, tau_s in parts:
-            turn += gauss_markov(problem.time, size, tau_s, rng, columns=3)
-        if motion.attitude_known is not None:
-            turn[~motion.attitude_known] = 0.0
-        perturbed = replace(motion, R_BN=Rotation.from_rotvec(turn) * motion.R_BN)
+        perturbed = motion.with_errors(
+            lambda time: np.sum([gauss_markov(time, size, tau_s, rng, columns=3) for size, tau_s in parts], axis=0)
+        )
         self.chain = Chain(replace(problem.setting, motion=perturbed.along_track()))
 
     @property

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from fluxtwin.gap.problem import row_axes
 from fluxtwin.gap.problem.row_axes import RowAxes, turn_images
-from fluxtwin.sim.attitude.recorded_motion import RecordedMotion
+from fluxtwin.sim.attitude.recorded_motion import RecordedAttitudes, RecordedMotion
 from fluxtwin.sim.base.errors import BadInput, NoAnswer
 from fluxtwin.sim.base.late import stretches
 from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
@@ -210,13 +210,14 @@ def pose(
     budget: Budget | None = None,
     instrument: Magnetometer | None = None,
     frozen: Sequence[Active] = (),
+    denser: Telemetry | None = None,
 ) -> Problem:
     """Pose the problem for a record.
 
     modelled: names of effects to re-estimate. instrument: starting S, b, T (default: none). frozen: effects that the
-    scenario has. Rows without reference attitude are used too: linear about the reading as the instrument has it until
-    `refit.settled`. Raises BadInput for unknown names and absent columns, OutOfRange for rows outside the field model,
-    NoAnswer when no row is complete.
+    scenario has. denser: the record that the telemetry is thinned from. Rows without reference attitude are used too:
+    linear about the reading as the instrument has it until `refit.settled`. Raises BadInput for unknown names and absent
+    columns, OutOfRange for rows outside the field model, NoAnswer when no row is complete.
     """
     effects = []
     for name in modelled:
@@ -231,7 +232,7 @@ def pose(
     r, v, known = np.array(used.r_N_km), _velocity(used), used.has_attitude
     q = np.tile([0.0, 0.0, 0.0, 1.0], (known.size, 1)) if used.q_NB is None else np.array(used.q_NB)
     q[~known] = [0.0, 0.0, 0.0, 1.0]
-    motion = RecordedMotion(used.time, r, v, frames.rotation_from_q(q), used.rate_B_rad_s)
+    motion = RecordedMotion(used.time, r, v, frames.rotation_from_q(q), used.rate_B_rad_s, denser=_attitudes(denser))
     plain = Magnetometer(np.zeros((3, 3)), np.zeros(3)) if instrument is None else instrument
     setting = Setting(used.time, motion, "predict", model, plain, recorded_columns(used))
     for effect in effects:
@@ -279,6 +280,15 @@ def _with_pseudo_attitude(
     filled = replace(setting, motion=motion, field_N_nT=field_N, attitude_known=known)
     matrix = np.eye(3) + setting.instrument.S
     return filled, row_axes.row_axes(known, R_BN.apply(field_N), nadir_B, matrix, ratio)
+
+
+def _attitudes(telemetry: Telemetry | None) -> RecordedAttitudes | None:
+    """What a record has of them."""
+    if telemetry is None or telemetry.q_NB is None or not telemetry.has_attitude.any():
+        return None
+    known = telemetry.select(telemetry.has_attitude)
+    assert known.q_NB is not None
+    return RecordedAttitudes(known.time, frames.rotation_from_q(np.array(known.q_NB)), known.rate_B_rad_s)
 
 
 def _motion(setting: Setting) -> RecordedMotion:

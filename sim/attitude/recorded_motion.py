@@ -7,6 +7,7 @@ know which it has.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -21,7 +22,18 @@ from fluxtwin.sim.earth.constants import EARTH_RADIUS_KM, GM_EARTH_KM3_S2, J2_EA
 
 _STEP_S = 60.0  # of the integration from a recorded position: 1e-4 km
 _REMEMBERED = 6
+_SAME_S = 1e-6  # between seconds of one stamp, worked out in two ways
 _FEWEST = 5  # rows without attitude that make a track of their own
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedAttitudes:
+    """Attitudes at M rising stamps, as they were recorded."""
+
+    time: TimeArray
+    R_BN: Rotation
+    rate_B_rad_s: FloatArray | None = None
+    """(M, 3) measured body rate; rows may be NaN."""
 
 
 @dataclass(frozen=True)
@@ -41,6 +53,8 @@ class RecordedMotion:
     """(N, 3) measured body rate; rows may be NaN."""
     attitude_known: BoolArray | None = None
     """(N,) False where R_BN is only one that fits the reading: it tells nothing of the others' motion. None: all known."""
+    denser: RecordedAttitudes | None = None
+    """Of a record that these rows are thinned from, all known rows among them: the motion between two rows may be fast."""
 
     def at(self, offset_s: float | FloatArray) -> tuple[FloatArray, FloatArray, Rotation]:
         """Position, velocity (N, 3) and R_BN `offset_s` (one number, or (N,)) after each stamp.
@@ -68,6 +82,21 @@ class RecordedMotion:
         quaternions = track.as_quat()
         quaternions[rows] = own.at(moments[rows]).as_quat()
         return Rotation.from_quat(quaternions)
+
+    def with_errors(self, errors_rad: Callable[[TimeArray], FloatArray]) -> RecordedMotion:
+        """The same motion with one more error in each known attitude: rotation vectors (M, 3), body axes, at stamps (M,)."""
+        if self.denser is None:
+            turn = errors_rad(self.time)
+            if self.attitude_known is not None:
+                turn[~self.attitude_known] = 0.0
+            return dataclasses.replace(self, R_BN=Rotation.from_rotvec(turn) * self.R_BN)
+        turn = errors_rad(self.denser.time)
+        own = np.zeros((self.time.size, 3))
+        own[slice(None) if self.attitude_known is None else self.attitude_known] = turn[
+            self._among(epoch.seconds_since(self.denser.time, self.time[0]))
+        ]
+        denser = dataclasses.replace(self.denser, R_BN=Rotation.from_rotvec(turn) * self.denser.R_BN)
+        return dataclasses.replace(self, R_BN=Rotation.from_rotvec(own) * self.R_BN, denser=denser)
 
     def reaches(self, offset_s: float | FloatArray) -> BoolArray:
         """(N,) whether the moment `offset_s` (or (N,)) after each stamp lies among the known attitudes of its stretch, or at
@@ -98,7 +127,12 @@ class RecordedMotion:
         if not known.size:
             known = np.zeros(1, dtype=np.intp)
         gyro = None if self.gyro_B_rad_s is None else self.gyro_B_rad_s[known]
-        return attitude_track.smoothed(self.seconds[known], self.R_BN[known], gyro)
+        track = attitude_track.smoothed(self.seconds[known], self.R_BN[known], gyro)
+        if self.denser is None:
+            return track
+        stamps = epoch.seconds_since(self.denser.time, self.time[0])
+        stamps[self._among(stamps)] = track.time_s
+        return attitude_track.better(track, attitude_track.smoothed(stamps, self.denser.R_BN, self.denser.rate_B_rad_s))
 
     @cached_property
     def _beyond(self) -> tuple[BoolArray, AttitudeTrack] | None:
@@ -113,6 +147,16 @@ class RecordedMotion:
             return None
         gyro = None if self.gyro_B_rad_s is None else self.gyro_B_rad_s[rows]
         return rows, attitude_track.smoothed(self.seconds[rows], self.R_BN[rows], gyro)
+
+    @cached_property
+    def _stamps(self) -> attitude_track.RowArray:
+        """Stamps of the track that the rows with a known attitude are."""
+        return self._among(self.smoothed.time_s)
+
+    def _among(self, stamps_s: FloatArray) -> attitude_track.RowArray:
+        """Which of rising stamps (M,) the rows with a known attitude are."""
+        known = self.seconds if self.attitude_known is None else self.seconds[self.attitude_known]
+        return np.searchsorted(stamps_s, known - _SAME_S)
 
     @cached_property
     def _from_track(self) -> Rotation:
@@ -148,10 +192,11 @@ class RecordedMotion:
         """As `_turned_on`; rows without attitude by the track."""
         known = self.attitude_known
         if known is None or known.all():
-            return self.smoothed.onward(offset_s)
+            return self.smoothed.onward(offset_s, self._stamps)
         turns = (self.track(offset_s) * self._from_track).as_quat()
         if known.any():
-            turns[known] = self.smoothed.onward(np.broadcast_to(offset_s, known.shape)[known]).as_quat()
+            after_s = np.broadcast_to(offset_s, known.shape)[known]
+            turns[known] = self.smoothed.onward(after_s, self._stamps).as_quat()
         return Rotation.from_quat(turns)
 
 

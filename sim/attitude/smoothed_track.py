@@ -152,6 +152,8 @@ class AttitudeTrack:
     span_s: FloatArray
     half: int
     """Rows to either side that a fit has."""
+    own_weight: FloatArray
+    """(N,) weight of an attitude in the fit about it, at its stamp."""
 
     @property
     def degree(self) -> int:
@@ -169,8 +171,8 @@ class AttitudeTrack:
         second = self._about(place.other, place.other_after_s, place.row)
         return Rotation.from_quat(blended(first, second, place.weights))
 
-    def onward(self, offset_s: float | FloatArray) -> Rotation:
-        """The turn from each stamp to `offset_s` (or (N,)) after it, by the fit about that stamp alone.
+    def onward(self, offset_s: float | FloatArray, rows: RowArray | None = None) -> Rotation:
+        """The turn from stamps `rows` (n,), default all, to `offset_s` (or (n,)) later, by the fit about that stamp alone.
 
         Errors of the attitudes are in all fits, and differ from one to the next: a step from one fit to another would add
         what differs. From half a spacing to a whole one the fit goes over into the track, which follows the motion better
@@ -178,16 +180,17 @@ class AttitudeTrack:
         """
         from fluxtwin.sim.attitude.track_kernels import blended
 
-        rows = np.arange(self.time_s.size, dtype=np.intp)
-        after = np.broadcast_to(np.asarray(offset_s, dtype=np.float64), self.time_s.shape)
-        to = np.clip(rows + np.sign(after).astype(np.intp), 0, rows.size - 1)
+        rows = np.arange(self.time_s.size, dtype=np.intp) if rows is None else rows
+        after = np.broadcast_to(np.asarray(offset_s, dtype=np.float64), rows.shape)
+        to = np.clip(rows + np.sign(after).astype(np.intp), 0, self.time_s.size - 1)
         to = np.where(self.stretch[to] == self.stretch[rows], to, rows)
         here = Rotation.from_quat(self._about(rows, np.zeros(rows.size), rows)).inv()
         own = frames.product(Rotation.from_quat(self._about(rows, after, to)), here)
-        beyond = np.clip(2.0 * np.abs(after) / np.where(self._reach_s > 0, self._reach_s, np.inf) - 1.0, 0.0, 1.0)
+        reach_s = self._reach_s[rows]
+        beyond = np.clip(2.0 * np.abs(after) / np.where(reach_s > 0, reach_s, np.inf) - 1.0, 0.0, 1.0)
         if not beyond.any():
             return own
-        along = frames.product(self.at(self.time_s + after), here)
+        along = frames.product(self.at(self.time_s[rows] + after), here)
         return Rotation.from_quat(blended(own.as_quat(), along.as_quat(), beyond * beyond * (3.0 - 2.0 * beyond)))
 
     def reaches(self, moments_s: FloatArray) -> BoolArray:
@@ -220,6 +223,19 @@ class AttitudeTrack:
         return np.asarray(np.maximum(np.append(step, 0.0), np.append(0.0, step)))
 
 
+def better(track: AttitudeTrack, denser: AttitudeTrack) -> AttitudeTrack:
+    """Which of two tracks to go by, the first through some of the attitudes of the second: the first, which smooths longer,
+    unless it predicts the attitudes between its own worse than their neighbours do."""
+    between = np.flatnonzero(~np.isin(denser.time_s, track.time_s))
+    at_s, R_BN = denser.time_s[between], denser.R_BN[between]
+    off = [(one.at(at_s) * R_BN.inv()).magnitude() for one in (track, denser)]
+    off[1] /= 1.0 - np.minimum(
+        denser.own_weight[between], _MOST_OWN
+    )  # the fit is linear: so much without the attitude itself
+    error, least = (np.mean(np.minimum(one**2, _WILD * np.median(one**2))) for one in off)
+    return track if error <= _AS_GOOD * least else denser
+
+
 def smoothed(time_s: FloatArray, R_BN: Rotation, gyro_B_rad_s: FloatArray | None = None) -> AttitudeTrack:
     """The track through attitudes R_BN at rising stamps (N,).
 
@@ -242,9 +258,10 @@ def smoothed(time_s: FloatArray, R_BN: Rotation, gyro_B_rad_s: FloatArray | None
         if np.median(step_rad) > _FURTHEST:
             best = found[-1]  # attitudes so far apart are met as well by motions that are not there between them
     _, degree, half, course = best
-    sums = _moments(R_BN, stretch, course, np.arange(time_s.size, dtype=np.intp), half, degree, np.empty(0))
-    coefficients = sums.fit(degree)[:, :, :3]
-    return AttitudeTrack(time_s, R_BN, stretch, course, coefficients, sums.mid_s, sums.span_s, half)
+    sums = _moments(R_BN, stretch, course, np.arange(time_s.size, dtype=np.intp), half, degree, np.zeros(1))
+    fit = sums.fit(degree)
+    own_weight = sums.off(fit)[2][:, 0]
+    return AttitudeTrack(time_s, R_BN, stretch, course, fit[:, :, :3], sums.mid_s, sums.span_s, half, own_weight)
 
 
 def _steady_rate(time_s: FloatArray, R_BN: Rotation, stretch: RowArray) -> FloatArray:
@@ -320,6 +337,14 @@ class _Trial:
     """(K,) that what is left out has in its own fit, mean."""
     kept: int | None
     """Which share this fit leaves; None where the window is too short to tell."""
+    left: float
+    """Mean square of what attitudes stand off their fit."""
+    of_walk: float
+    """The same of a random walk, for a mean square of 1 from row to row."""
+
+    def misses(self, other: _Trial) -> bool:
+        """Whether it misses all of a motion that the other misses: it is no shorter, and of no higher degree."""
+        return self.half >= other.half and self.degree <= other.degree
 
 
 def _window(R_BN: Rotation, stretch: RowArray, course: _Course) -> tuple[float, int, int]:
@@ -329,13 +354,36 @@ def _window(R_BN: Rotation, stretch: RowArray, course: _Course) -> tuple[float, 
     # Of what a short window cannot tell, the shortest one that can says most: it follows nearly all motion.
     usual = next((one.kept for one in trials if one.kept is not None), 0)
     kept = [usual if one.kept is None else one.kept for one in trials]
-    tried = [(float(one.error[k]), float(one.weight[k]), one) for one, k in zip(trials, kept, strict=True)]
+    missed = [_missed(one, trials, stretch.size) for one in trials]
+    tried = [
+        # A longer window or a lower degree misses no less of the motion.
+        (
+            float(one.error[k]) + max(m for o, m in zip(trials, missed, strict=True) if one.misses(o)),
+            float(one.weight[k]),
+            one,
+        )
+        for one, k in zip(trials, kept, strict=True)
+    ]
     best = min((error for error, *_ in tried), default=np.inf)
     if not np.isfinite(best):
         return np.inf, 1, 1
     good = [one for one in tried if one[0] <= _AS_GOOD * best]
     error, _, trial = max(good, key=lambda one: one[1])
     return error, trial.degree, trial.half
+
+
+def _missed(trial: _Trial, trials: list[_Trial], rows: int) -> float:
+    """Mean square of the motion that a window does not follow: what attitudes stand off its fit beyond what errors can.
+
+    No stationary error leaves more in a longer window, beside what it leaves in a shorter one, than a random walk does; by
+    chance, three sigma of as many windows as do not overlap, three axes each.
+    """
+    shorter = [one for one in trials if one.of_walk < trial.of_walk]
+    if not shorter or not np.isfinite(trial.left):
+        return 0.0
+    of_errors = trial.of_walk * min(one.left / one.of_walk for one in shorter)
+    most = of_errors * (1.0 + 3.0 * float(np.sqrt(2.0 * (2 * trial.half + 1) / (3.0 * rows))))
+    return max(trial.left - most, 0.0)
 
 
 def _trials(R_BN: Rotation, stretch: RowArray, course: _Course, centres: RowArray) -> Iterator[_Trial]:
@@ -367,10 +415,13 @@ def _trial(sums: _Moments, degree: int, half: int) -> _Trial:
         if fair.sum() >= 0.3 * fair.size:
             some = missed[fair, k]
             errors[k], weights[k] = np.mean(np.minimum(some, _WILD * np.median(some))), np.mean(own[fair, k])
-    expected = _correlations(half, degree)
+    expected, of_walk = _correlations(half, degree)
     telling = expected[-1] - expected[0] > _TELLS
     kept = int(np.argmin(np.abs(expected - _correlation(off, before)))) if telling else None
-    return _Trial(degree, half, errors, weights, kept)
+    size = np.sum(off[sums.balanced] ** 2, axis=1)
+    size = size[np.isfinite(size)]
+    left = float(np.mean(np.minimum(size, _WILD * np.median(size)))) if size.size else np.inf
+    return _Trial(degree, half, errors, weights, kept, left, of_walk)
 
 
 def _correlation(one: FloatArray, other: FloatArray) -> float:
@@ -383,18 +434,18 @@ def _correlation(one: FloatArray, other: FloatArray) -> float:
 
 
 @cache
-def _correlations(half: int, degree: int) -> FloatArray:
+def _correlations(half: int, degree: int) -> tuple[FloatArray, float]:
     """(K,) correlation of what the middle row and the one before it stand off a fit of evenly spaced rows, for errors that
-    keep each share from row to row."""
+    keep each share from row to row; and the variance of the middle row's for a random walk with steps of 1."""
     rows = np.arange(2 * half + 1)
     basis = np.linalg.qr(np.vander((rows - half) / half, degree + 1))[0]
     rest = np.eye(rows.size) - basis @ basis.T
     found = []
+    apart = np.abs(np.subtract.outer(rows, rows))
     for share in _KEPT:
-        apart = np.abs(np.subtract.outer(rows, rows))
         left = rest @ share**apart @ rest
         found.append(left[half, half - 1] / np.sqrt(left[half, half] * left[half - 1, half - 1]))
-    return np.array(found)
+    return np.array(found), float((rest @ (-0.5 * apart) @ rest)[half, half])
 
 
 def _moments(

@@ -6,7 +6,7 @@
 #ifndef LANES
 #if defined(__AVX512F__)
 #define LANES 8
-#define GROUPS 1
+#define GROUPS 2
 #elif defined(__AVX__)
 #define LANES 4
 #define GROUPS 1
@@ -37,11 +37,12 @@ void synthesize(const double *restrict r, const double *restrict table, long top
         for (long m = 0; m <= top; m++) {
             vec sum[6][GROUPS], before[GROUPS], p[GROUPS];
             for (int g = 0; g < GROUPS; g++) {
-                for (int k = 0; k < 6; k++) sum[k][g] = (vec){0};
-                before[g] = (vec){0};
-                p[g] = before[g] + 1.0;
+                for (int k = 0; k < 6; k++) sum[k][g] = (vec){0} + row[k + 1];
+                before[g] = (vec){0} + 1.0;
+                p[g] = w[g]; /* of k = m it is 1 */
             }
-            for (long k = m; k <= top; k++, row += 7)
+            row += 7;
+            for (long k = m + 1; k <= top; k++, row += 7)
                 for (int g = 0; g < GROUPS; g++) {
                     const vec now = p[g];
                     for (int j = 0; j < 6; j++) sum[j][g] += row[j + 1] * now;

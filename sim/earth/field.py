@@ -4,7 +4,7 @@ Frames as in `frames`: E Earth-fixed, N GCRS; NEC local geocentric north, east, 
 in nT, epochs datetime64[ns] UTC: one per position in any order, or one for all. Time convention and validity:
 `field_models`; formulas: `field_kernels`.
 
-Epochs that differ from sample to sample cost one synthesis for each power of time in the knot interval (two
+Epochs that differ from sample to sample cost less than one synthesis for each power of time in the knot interval (two
 for IGRF: K0 + tau K1), whatever the number of samples; nothing of size samples x coefficients is ever made.
 """
 
@@ -34,18 +34,12 @@ def field_E_nT(model: FieldModel, time: TimeArray | np.datetime64, r_E_km: Float
     time: (N,) or one epoch. Raises OutOfRange for an epoch outside the model or a position below 3485 km,
     BadInput for positions that are not finite and for shapes that do not fit.
     """
-    from fluxtwin.sim.earth.field_kernels import fold, synthesize
+    from fluxtwin.sim.earth.field_kernels import fold
 
     r, stamps = _checked(time, r_E_km)
     b_E_nT = np.zeros_like(r)
-    for rows, coefficients_nT, weight in _terms(model, stamps):
-        table = fold(coefficients_nT)
-        if isinstance(rows, slice):
-            synthesize(r, table, weight, b_E_nT)
-        else:
-            part = np.zeros((rows.size, 3))
-            synthesize(r[rows], table, weight, part)
-            b_E_nT[rows] += part
+    for rows, powers_nT, tau in _terms(model, stamps):
+        _add(r, rows, [fold(coefficients_nT) for coefficients_nT in powers_nT], tau, b_E_nT)
     return b_E_nT
 
 
@@ -79,17 +73,15 @@ def field_gradient_E_nT_km(model: FieldModel, time: TimeArray | np.datetime64, r
     Exact, by folding the coefficients twice (no differences). Symmetric and traceless. Raises as
     `field_E_nT`.
     """
-    from fluxtwin.sim.earth.field_kernels import fold_gradient, synthesize
+    from fluxtwin.sim.earth.field_kernels import fold_gradient
 
     r, stamps = _checked(time, r_E_km)
-    gradient = np.zeros((r.shape[0], 3, 3))
-    for rows, coefficients_nT, weight in _terms(model, stamps):
-        for i, table in enumerate(fold_gradient(coefficients_nT)):
-            there = r[rows]
-            part = np.zeros_like(there)
-            synthesize(there, table, weight, part)
-            gradient[rows, i] += part
-    return gradient
+    gradient = np.zeros((3, r.shape[0], 3))
+    for rows, powers_nT, tau in _terms(model, stamps):
+        tables = [fold_gradient(coefficients_nT) for coefficients_nT in powers_nT]
+        for i in range(3):
+            _add(r, rows, [table[i] for table in tables], tau, gradient[i])
+    return np.ascontiguousarray(gradient.transpose(1, 0, 2))
 
 
 def design_matrix_E(degree: int, r_E_km: FloatArray) -> FloatArray:
@@ -104,18 +96,38 @@ def design_matrix_E(degree: int, r_E_km: FloatArray) -> FloatArray:
 
 
 def _terms(model: FieldModel, stamps: TimeArray) -> Iterator[tuple[_Rows, FloatArray, FloatArray]]:
-    """Rows, coefficients (K,) and weight (n,) or (1,): their weighted syntheses add up to the field."""
+    """Rows, coefficients (J, K) of the powers of tau, and tau (n,): the field is their sum."""
     if stamps.size and (stamps[0] == stamps[-1]) and (stamps == stamps[0]).all():
-        yield slice(None), model.coefficients_nT(stamps[:1])[0], np.ones(1)
+        yield slice(None), model.coefficients_nT(stamps[:1]), np.zeros(1)
         return
     piece, tau = model.pieces(stamps)
     present = np.flatnonzero(np.bincount(piece))
     for p in present:
         rows = slice(None) if present.size == 1 else np.flatnonzero(piece == p)
-        for power in range(model.polynomial_nT.shape[1]):
-            coefficients_nT = np.zeros(model.static_nT.size) if power else model.static_nT.copy()
-            coefficients_nT[: model.polynomial_nT.shape[2]] += model.polynomial_nT[p, power]
-            yield rows, coefficients_nT, tau[rows] ** power if power else np.ones(1)
+        powers_nT = np.zeros((model.polynomial_nT.shape[1], model.static_nT.size))
+        powers_nT[0] = model.static_nT
+        powers_nT[:, : model.polynomial_nT.shape[2]] += model.polynomial_nT[p]
+        yield rows, powers_nT, tau[rows]
+
+
+def _add(r_km: FloatArray, rows: _Rows, tables: list[FloatArray], tau: FloatArray, out: FloatArray) -> None:
+    """Add the fields of folded tables, one a power of tau, to the rows of `out`; two at a time where they are alike."""
+    from fluxtwin.sim.earth.field_kernels import synthesize
+
+    there = isinstance(rows, slice)
+    r, part = (r_km, out) if there else (r_km[rows], np.zeros((tau.size, 3)))
+    power = 0
+    while power < len(tables):
+        weight = tau**power if power else np.ones(1)
+        two = tables[power : power + 2]
+        if len(two) == 2 and two[0].shape == two[1].shape:
+            synthesize(r, two[0], two[1], tau, weight, part)
+            power += 2
+        else:
+            synthesize(r, two[0], None, None, weight, part)
+            power += 1
+    if not there:
+        out[rows] += part
 
 
 def _checked(time: TimeArray | np.datetime64, r_km: FloatArray) -> tuple[FloatArray, TimeArray]:

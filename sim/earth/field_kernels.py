@@ -18,7 +18,9 @@ from functools import lru_cache
 
 import numpy as np
 
-from fluxtwin.sim.base.kernel_cache import kernel
+from fluxtwin.sim.base import lanes
+from fluxtwin.sim.base.kernel_cache import kernel, part
+from fluxtwin.sim.base.lanes import LANES, every, fused, load, store
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import constants
 from fluxtwin.sim.earth.constants import FIELD_RADIUS_KM
@@ -130,30 +132,29 @@ def first_outside(r_km: FloatArray, lowest_km: float) -> int:
     return -1
 
 
-@kernel(uses=[constants], fastmath=_FAST, error_model="numpy", nogil=True)
-def synthesize(r_km: FloatArray, table: FloatArray, weight: FloatArray, out: FloatArray) -> None:
-    """Add weight times the field of the folded table to `out` (N, 3), at positions (N, 3).
+@kernel(uses=[constants, lanes], fastmath=_FAST, error_model="numpy", nogil=True)
+def synthesize(
+    r_km: FloatArray,
+    table: FloatArray,
+    trend: FloatArray | None,
+    tau: FloatArray | None,
+    weight: FloatArray,
+    out: FloatArray,
+) -> None:
+    """Add weight times the field of the folded table + tau trend to `out` (N, 3), at positions (N, 3).
 
-    weight: (N,), or (1,) for all. Sixty-four points are worked on together, so that their state (17 numbers
-    each) stays in the first-level cache and the compiler finds vectors; two or three degrees are done in one
-    pass over it. The offsets are literal because only then is it plain that reads and writes do not overlap.
+    trend: a table as long as the other, and tau (N,); or None and None. weight: (N,), or (1,) for all. Sixty-four points are
+    made ready together, then summed over all harmonics in as many lanes as the machine has, without leaving its registers.
     """
-    top = int(np.sqrt(2.0 * table.shape[0])) - 1
     count = r_km.shape[0]
-    raw = np.empty(17 * 64 + 8)
-    state = raw[(64 - raw.ctypes.data % 64) // 8 :]  # on a cache line
+    last = weight.shape[0] - 1
+    state = np.empty(9 * 64)
     for start in range(0, count, 64):
-        _begin(r_km, start, state)
-        row = 0
-        for m in range(top + 1):
-            end = row + top + 1 - m
-            row = _begin_order(table, row, end, state)
-            while row < end:
-                _three_degrees(table, row, state)
-                row += 3
-            _end_order(state)
-        last = weight.shape[0] - 1
-        for i in range(min(64, count - start)):
+        here = min(64, count - start)
+        _begin(r_km, tau, start, state)
+        for first in range(0, here, LANES):
+            _add_up(table, trend, state, first)
+        for i in range(here):
             j = start + i
             size = weight[min(j, last)]
             out[j, 0] += size * state[i + 384]
@@ -161,12 +162,11 @@ def synthesize(r_km: FloatArray, table: FloatArray, weight: FloatArray, out: Flo
             out[j, 2] += size * state[i + 512]
 
 
-# State of a block: u 0, v 64, w 128, q 192, A 256, B 320 (of k = m), field 384 448 512,
-# p of the two degrees before 576 640, sums over k of the six factors times p 704 768 832 896 960 1024.
+# State of a block: u 0, v 64, w 128, -q 192, a / r 256, tau 320, field 384 448 512.
 
 
-@kernel(uses=[constants], fastmath=_FAST, error_model="numpy")
-def _begin(r_km: FloatArray, start: int, state: FloatArray) -> None:
+@part(fastmath=_FAST, error_model="numpy")
+def _begin(r_km: FloatArray, tau: FloatArray | None, start: int, state: FloatArray) -> None:
     last = r_km.shape[0] - 1
     for i in range(64):
         j = min(start + i, last)  # a short last block repeats its last point
@@ -175,137 +175,49 @@ def _begin(r_km: FloatArray, start: int, state: FloatArray) -> None:
         state[i] = x * s
         state[i + 64] = y * s
         state[i + 128] = z * s
-        state[i + 192] = FIELD_RADIUS_KM * s
+        state[i + 192] = -FIELD_RADIUS_KM * s
         state[i + 256] = np.sqrt(FIELD_RADIUS_KM * s)
         state[i + 320] = 0.0
-        state[i + 384] = 0.0
-        state[i + 448] = 0.0
-        state[i + 512] = 0.0
+        if tau is not None:
+            state[i + 320] = tau[j]
 
 
-@kernel(fastmath=_FAST, error_model="numpy")
-def _begin_order(table: FloatArray, row: int, end: int, state: FloatArray) -> int:
-    """Do the first degrees of an order, so many that a multiple of three is left; the next row."""
-    left = end - row
-    if left == 1:
-        _first_degree(table, row, state)
-        return row + 1
-    if left % 3 == 0:
-        _first_three_degrees(table, row, state)
-        return row + 3
-    _first_two_degrees(table, row, state)
-    if left % 3 == 2:
-        return row + 2
-    _two_degrees(table, row + 2, state)
-    return row + 4
+@part(error_model="numpy")
+def _add_up(table: FloatArray, trend: FloatArray | None, state: FloatArray, first: int) -> None:
+    """The field of LANES points of the block, from `first` on."""
+    top = int(np.sqrt(2.0 * table.shape[0])) - 1
+    u, v, w = load(state, first), load(state, first + 64), load(state, first + 128)
+    minus_q, A, tau = load(state, first + 192), load(state, first + 256), load(state, first + 320)
+    nothing = every(0.0)
+    B, x, y, z = nothing, nothing, nothing, nothing
+    row = 0
+    for m in range(top + 1):
+        xa, xb = _factor(table, trend, tau, row, 1), _factor(table, trend, tau, row, 2)
+        ya, yb = _factor(table, trend, tau, row, 3), _factor(table, trend, tau, row, 4)
+        za, zb = _factor(table, trend, tau, row, 5), _factor(table, trend, tau, row, 6)
+        before, p = every(1.0), w  # p of k = m is 1, of the next degree w
+        for _ in range(m, top):
+            row += 1
+            xa = fused(_factor(table, trend, tau, row, 1), p, xa)
+            xb = fused(_factor(table, trend, tau, row, 2), p, xb)
+            ya = fused(_factor(table, trend, tau, row, 3), p, ya)
+            yb = fused(_factor(table, trend, tau, row, 4), p, yb)
+            za = fused(_factor(table, trend, tau, row, 5), p, za)
+            zb = fused(_factor(table, trend, tau, row, 6), p, zb)
+            before, p = p, fused(w, p, every(table[row, 0]) * minus_q * before)
+        row += 1
+        x = fused(xa, A, fused(xb, B, x))
+        y = fused(ya, A, fused(yb, B, y))
+        z = fused(za, A, fused(zb, B, z))
+        A, B = fused(u, A, every(-1.0) * v * B), fused(u, B, v * A)
+    store(state, first + 384, x)
+    store(state, first + 448, y)
+    store(state, first + 512, z)
 
 
-@kernel(fastmath=_FAST, error_model="numpy")
-def _first_degree(table: FloatArray, row: int, state: FloatArray) -> None:
-    _, xa, xb, ya, yb, za, zb = _factors(table, row)
-    for i in range(64):
-        state[i + 704] = xa
-        state[i + 768] = xb
-        state[i + 832] = ya
-        state[i + 896] = yb
-        state[i + 960] = za
-        state[i + 1024] = zb
-
-
-@kernel(fastmath=_FAST, error_model="numpy")
-def _first_two_degrees(table: FloatArray, row: int, state: FloatArray) -> None:
-    _, xa0, xb0, ya0, yb0, za0, zb0 = _factors(table, row)
-    beta1, xa1, xb1, ya1, yb1, za1, zb1 = _factors(table, row + 1)
-    for i in range(64):
-        p1 = state[i + 128]  # p of k = m is 1, of the next degree w
-        state[i + 576] = p1
-        state[i + 640] = p1 * p1 - beta1 * state[i + 192]
-        state[i + 704] = xa0 + xa1 * p1
-        state[i + 768] = xb0 + xb1 * p1
-        state[i + 832] = ya0 + ya1 * p1
-        state[i + 896] = yb0 + yb1 * p1
-        state[i + 960] = za0 + za1 * p1
-        state[i + 1024] = zb0 + zb1 * p1
-
-
-@kernel(fastmath=_FAST, error_model="numpy")
-def _first_three_degrees(table: FloatArray, row: int, state: FloatArray) -> None:
-    _, xa0, xb0, ya0, yb0, za0, zb0 = _factors(table, row)
-    beta1, xa1, xb1, ya1, yb1, za1, zb1 = _factors(table, row + 1)
-    beta2, xa2, xb2, ya2, yb2, za2, zb2 = _factors(table, row + 2)
-    for i in range(64):
-        p1 = state[i + 128]
-        q = state[i + 192]
-        p2 = p1 * p1 - beta1 * q
-        state[i + 576] = p2
-        state[i + 640] = p1 * p2 - beta2 * q * p1
-        state[i + 704] = xa0 + xa1 * p1 + xa2 * p2
-        state[i + 768] = xb0 + xb1 * p1 + xb2 * p2
-        state[i + 832] = ya0 + ya1 * p1 + ya2 * p2
-        state[i + 896] = yb0 + yb1 * p1 + yb2 * p2
-        state[i + 960] = za0 + za1 * p1 + za2 * p2
-        state[i + 1024] = zb0 + zb1 * p1 + zb2 * p2
-
-
-@kernel(fastmath=_FAST, error_model="numpy")
-def _three_degrees(table: FloatArray, row: int, state: FloatArray) -> None:
-    beta0, xa0, xb0, ya0, yb0, za0, zb0 = _factors(table, row)
-    beta1, xa1, xb1, ya1, yb1, za1, zb1 = _factors(table, row + 1)
-    beta2, xa2, xb2, ya2, yb2, za2, zb2 = _factors(table, row + 2)
-    for i in range(64):
-        w = state[i + 128]
-        q = state[i + 192]
-        p0 = state[i + 640]
-        p1 = w * p0 - beta0 * q * state[i + 576]
-        p2 = w * p1 - beta1 * q * p0
-        state[i + 576] = p2
-        state[i + 640] = w * p2 - beta2 * q * p1
-        state[i + 704] = state[i + 704] + xa0 * p0 + xa1 * p1 + xa2 * p2
-        state[i + 768] = state[i + 768] + xb0 * p0 + xb1 * p1 + xb2 * p2
-        state[i + 832] = state[i + 832] + ya0 * p0 + ya1 * p1 + ya2 * p2
-        state[i + 896] = state[i + 896] + yb0 * p0 + yb1 * p1 + yb2 * p2
-        state[i + 960] = state[i + 960] + za0 * p0 + za1 * p1 + za2 * p2
-        state[i + 1024] = state[i + 1024] + zb0 * p0 + zb1 * p1 + zb2 * p2
-
-
-@kernel(fastmath=_FAST, error_model="numpy")
-def _two_degrees(table: FloatArray, row: int, state: FloatArray) -> None:
-    beta0, xa0, xb0, ya0, yb0, za0, zb0 = _factors(table, row)
-    beta1, xa1, xb1, ya1, yb1, za1, zb1 = _factors(table, row + 1)
-    for i in range(64):
-        w = state[i + 128]
-        q = state[i + 192]
-        p0 = state[i + 640]
-        p1 = w * p0 - beta0 * q * state[i + 576]
-        state[i + 576] = p1
-        state[i + 640] = w * p1 - beta1 * q * p0
-        state[i + 704] = state[i + 704] + xa0 * p0 + xa1 * p1
-        state[i + 768] = state[i + 768] + xb0 * p0 + xb1 * p1
-        state[i + 832] = state[i + 832] + ya0 * p0 + ya1 * p1
-        state[i + 896] = state[i + 896] + yb0 * p0 + yb1 * p1
-        state[i + 960] = state[i + 960] + za0 * p0 + za1 * p1
-        state[i + 1024] = state[i + 1024] + zb0 * p0 + zb1 * p1
-
-
-@kernel(fastmath=_FAST, error_model="numpy")
-def _factors(table: FloatArray, row: int) -> tuple[float, float, float, float, float, float, float]:
-    return (
-        table[row, 0],
-        table[row, 1],
-        table[row, 2],
-        table[row, 3],
-        table[row, 4],
-        table[row, 5],
-        table[row, 6],
-    )
-
-
-@kernel(fastmath=_FAST, error_model="numpy")
-def _end_order(state: FloatArray) -> None:
-    for i in range(64):
-        u, v, a, b = state[i], state[i + 64], state[i + 256], state[i + 320]
-        state[i + 384] = state[i + 384] + state[i + 704] * a + state[i + 768] * b
-        state[i + 448] = state[i + 448] + state[i + 832] * a + state[i + 896] * b
-        state[i + 512] = state[i + 512] + state[i + 960] * a + state[i + 1024] * b
-        state[i + 256] = u * a - v * b
-        state[i + 320] = u * b + v * a
+@part(error_model="numpy")
+def _factor(table: FloatArray, trend: FloatArray | None, tau: FloatArray, row: int, column: int) -> FloatArray:
+    """A number of the table for each point, at its own time where there is a trend."""
+    if trend is None:
+        return every(table[row, column])
+    return fused(every(trend[row, column]), tau, every(table[row, column]))

@@ -197,4 +197,4 @@ def test_every_kernel_names_what_is_compiled_into_it(trees: dict[str, ast.Module
         if left := {one for one in wanted(value, trees, {}) if installed(one) not in named}:
             missing[name] = left
     assert not missing
-    assert "fluxtwin.sim.earth.constants" in wanted(kernels["fluxtwin.sim.earth.field_kernels._begin"], trees, {})
+    assert "fluxtwin.sim.earth.constants" in wanted(kernels["fluxtwin.sim.earth.field_kernels.synthesize"], trees, {})

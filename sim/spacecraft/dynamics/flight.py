@@ -14,6 +14,9 @@ from fluxtwin.sim.earth import frames
 from fluxtwin.sim.spacecraft.dynamics.environment import Environment
 from fluxtwin.sim.spacecraft.dynamics.vehicle import Vehicle
 
+_AT_A_ROW = 1e-9
+"""Of the spacing: elapsed seconds are rounded to as much."""
+
 
 @dataclass(frozen=True)
 class Start:
@@ -68,6 +71,14 @@ class Flight:
         (spacing)^4 / 384 times the third derivative of the rate.
         """
         row, share = self._rows(seconds)
+        q, rate = self.q_NB[row], self.rate_B_rad_s[row]
+        between = np.flatnonzero(share)  # samples mostly stand at rows
+        if between.size:
+            q[between], rate[between] = self._between(row[between], share[between])
+        return Attitude(frames.rotation_from_q(q), rate)
+
+    def _between(self, row: np.ndarray, share: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """q_NB and rate the share of the way from the row to the next."""
         q, rate = self.q_NB, self.rate_B_rad_s
         R0, R1 = frames.rotation_from_q(q[row]), frames.rotation_from_q(q[row + 1])
         turn = -np.atleast_2d(frames.product(R1, R0.inv()).as_rotvec())
@@ -79,11 +90,11 @@ class Flight:
         beyond = (share - s[:, 0])[:, None] * self.spacing_s
         now = _body_rate(vector, slope)
         turned = frames.product(Rotation.from_rotvec(-beyond * now), Rotation.from_rotvec(-vector))
-        return Attitude(frames.product(turned, R0), now)
+        return frames.q_from_rotation(frames.product(turned, R0)), now
 
     def dipole(self, seconds: FloatArray) -> FloatArray:
         """(N, 3) dipole that the torquers hold at each elapsed time."""
-        held = np.clip(np.floor(np.asarray(seconds) / self.spacing_s + 1e-9), 0, len(self.q_NB) - 1)
+        held = np.clip(np.floor(np.asarray(seconds) / self.spacing_s + _AT_A_ROW), 0, len(self.q_NB) - 1)
         return np.asarray(self.dipole_B_Am2[held.astype(np.int64)])
 
     def wheel_speed(self, seconds: FloatArray) -> FloatArray:
@@ -94,6 +105,8 @@ class Flight:
 
     def _rows(self, seconds: FloatArray) -> tuple[np.ndarray, FloatArray]:
         position = np.asarray(seconds, dtype=np.float64) / self.spacing_s
+        nearest = np.rint(position)
+        position = np.where(np.abs(position - nearest) < _AT_A_ROW, nearest, position)
         row = np.clip(np.floor(position), 0, len(self.q_NB) - 2).astype(np.int64)
         return row, position - row
 

@@ -122,6 +122,12 @@ def flights(scenario: Scenario) -> Flights:
     return _made[key]
 
 
+def forget_flights() -> None:
+    """Let go of those that are kept: the next scenarios are others, and their flights can take the same memory."""
+    _made.clear()
+    _latest.clear()
+
+
 def _actuators(scenario: Scenario) -> tuple[object, ...]:
     """What of torquers and magnetometer has a hand in the motion: not where they sit, nor what telemetry makes of them."""
     torquers, meter = scenario.torquers, scenario.magnetometer
@@ -334,9 +340,9 @@ def _knowledge(scenario: Scenario, number: int, ticks: TimeArray) -> FloatArray 
         noise_nT = scenario.magnetometer.white_nT
     if section.law is None or (sigma == 0.0 and noise_nT == 0.0):
         return None
-    errors = np.zeros((ticks.size, 6))
+    errors = np.empty((ticks.size, 6))
     rng = stream(scenario.seed, f"control.attitude.{number}")
     errors[:, :3] = gauss_markov(ticks, sigma, section.attitude_tau_s, rng, columns=3)
     noise = stream(scenario.seed, f"control.magnetometer.{number}").standard_normal((ticks.size, 3))
-    errors[:, 3:] = 1e-9 * noise_nT * noise
+    np.multiply(1e-9 * noise_nT, noise, out=errors[:, 3:])
     return errors

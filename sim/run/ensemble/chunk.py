@@ -23,6 +23,7 @@ from fluxtwin.sim.base.netcdf_out import Variable, write_netcdf
 from fluxtwin.sim.base.types import FloatArray, TimeArray
 from fluxtwin.sim.run.ensemble.figures import Around, around, figures, series
 from fluxtwin.sim.run.ensemble.plan import Plan
+from fluxtwin.sim.run.flights import forget_flights
 from fluxtwin.sim.run.simulate import simulate
 from fluxtwin.sim.scenario.scenario import Scenario
 from fluxtwin.sim.telemetry.netcdf_files import TIME_UNITS, NetcdfFile
@@ -78,6 +79,7 @@ class Flyer:
                     made.put(row, kept, figures(scenario, kept, truth))
                 except BadInput as error:
                     made.lost[vehicle] = str(error)
+                forget_flights()
         made.notices = list(dict.fromkeys(str(one.message) for one in caught))
         return made
 

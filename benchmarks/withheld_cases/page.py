@@ -41,8 +41,10 @@ def page(cases: Sequence[Judged], void: int, run: dict[str, Any]) -> str:
     missing = f" {void} could not be made: no world showed the truth at the wanted size." if void else ""
     parts = [
         _HEAD,
-        f"This run: {made}. {len(cases)} records: {told}.{missing} A row is met when the point estimate reaches it; "
-        f"the interval is Wilson's, 95 %; a row that is `compared` has no reach. {_contents(cases)}",
+        f"This run: {made}. {len(cases)} records: {told}.{missing}",
+        _contents(cases),
+        "A row of the table is met when the point estimate reaches it; the interval is Wilson's, 95 %; a row that is "
+        "`compared` has no reach.",
         score.table([row for row in score.rows_of(cases) if row["of"]]),
         "## What was said of each effect",
         f"![Confusion matrix](images/{FIGURE})",
@@ -62,7 +64,7 @@ def page(cases: Sequence[Judged], void: int, run: dict[str, Any]) -> str:
 
 
 def _contents(cases: Sequence[Judged]) -> str:
-    """What the truths of this run have in them: field, sun and nadir, torques."""
+    """What the truths of this run have in them, as a list: field, sun and nadir, torques."""
     true = [case for case in cases if case.truths]
     rich = [float(case.sealed["richer_nT"]) for case in true if beside.is_richer(case)]
     words = [
@@ -87,7 +89,7 @@ def _contents(cases: Sequence[Judged]) -> str:
             "another start of the window makes, over the sigma of the attitude."
         )
     words += [text for name, text in _BESIDE.items() if any(case.population == name for case in cases)]
-    return " ".join(words)
+    return "\n".join(f"- {one}" for one in words)
 
 
 _BESIDE = {

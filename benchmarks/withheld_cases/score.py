@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from itertools import groupby
 from typing import Any
 
 from withheld_cases import beside, defaults, laws_judged, promises
@@ -267,11 +268,11 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
 
 
 def by(cases: Sequence[Judged], key: str, title: str) -> str:
-    """What was right, by something that is sealed with each case."""
-    lines = [f"| population | {title} | right | first name | of | else it said |", "|---|---|---|---|---|---|"]
+    """What was right, by something that is sealed with each case: a line a population."""
     groups: dict[tuple[str, str], list[Judged]] = {}
     for case in cases:
         groups.setdefault((case.population, str(case.sealed[key])), []).append(case)
+    rows = []
     for (population, label), mine in sorted(groups.items()):
         if key == "label" and population in ("pairs", "triples", "outside"):
             continue
@@ -281,7 +282,23 @@ def by(cases: Sequence[Judged], key: str, title: str) -> str:
             f"{text} x{n}" if n > 1 else text for text, n in sorted(counts.items(), key=lambda i: -i[1])[:5]
         )
         good, first = sum(map(right, mine)), sum(case.first_right for case in mine)
-        lines.append(f"| {population} | {label or '-'} | {good} | {first} | {len(mine)} | {told} |")
+        rows.append((population, label or "others", good, first, len(mine), told))
+    return lines_of(rows, title)
+
+
+def lines_of(rows: Sequence[tuple[str, str, int, int, int, str]], title: str) -> str:
+    """Rows of population, label, right, first name right, records and wrong answers, folded to a line a population."""
+    lines = [f"| population | right | {title}, all right: records | with wrong answers |", "|---|---|---|---|"]
+    for population, group in groupby(rows, key=lambda row: row[0]):
+        mine = list(group)
+        whole = [f"{label} {of}" for _, label, good, _, of, _ in mine if good == of]
+        wrong = [
+            f"**{label} {good} of {of}**{f', first name right {first}' if first > good else ''}: {told}"
+            for _, label, good, first, of, told in mine
+            if good < of
+        ]
+        good, of = sum(row[2] for row in mine), sum(row[4] for row in mine)
+        lines.append(f"| {population} | {good} of {of} | {', '.join(whole)} | {'. '.join(wrong)} |")
     return "\n".join(lines)
 
 

@@ -167,10 +167,7 @@ def _section(effect: Effect, alike: dict[str, dict[str, dict[str, int]]]) -> lis
         "",
         f"*{effect.title}.* {_escaped(about)}.",
         "",
-        "| key | typical | lowest | highest |",
-        "|---|--:|--:|--:|",
-        *_rows(every_key(effect)),
-        "",
+        *_keys(every_key(effect)),
         f"- {'; '.join(facts).capitalize()}.",
         f"- Settled by {effect.settled_by}.",
         *(f"- {one}" for one in _looks(effect.name, alike)),
@@ -178,19 +175,27 @@ def _section(effect: Effect, alike: dict[str, dict[str, dict[str, int]]]) -> lis
     ]
 
 
-def _rows(keys: Sequence[Key]) -> list[str]:
-    """A row a key; of more than six alike one row, from the first to the last."""
+def _keys(keys: Sequence[Key]) -> list[str]:
+    """A line for keys of the same size; of more than six alike from the first to the last."""
     if len(keys) > 6:
-        return [_row(keys[0], f"`{keys[0].name}` ... `{keys[-1].name}`", len(keys))]
-    return [_row(key, f"`{key.name}`", len(key.parameters)) for key in keys]
+        return [f"- `{keys[0].name}` ... `{keys[-1].name}` ({len(keys)}): {_size(keys[0])}."]
+    lines = []
+    for size, alike in groupby(keys, key=_size):
+        names = [f"`{one.name}`{_components(one)}" for one in alike]
+        lines.append(f"- {', '.join(names)}: {size}.")
+    return lines
 
 
-def _row(key: Key, name: str, components: int) -> str:
+def _components(key: Key) -> str:
+    return f" ({len(key.parameters)})" if len(key.parameters) > 1 else ""
+
+
+def _size(key: Key) -> str:
     first = key.parameters[0]
-    many = f" ({components})" if components > 1 else ""
     unit = "" if first.unit == "1" else f" {first.unit}"
     low, high = (f"{v:g}" if abs(v) < 1e300 else "" for v in (first.low, first.high))
-    return f"| {name}{many} | {first.scale:g}{unit} | {low} | {high} |"
+    ends = f", {low} to {high}" if low and high else f", at least {low}" if low else f", at most {high}" if high else ""
+    return f"typically {first.scale:g}{unit}{ends}"
 
 
 def _looks(name: str, alike: dict[str, dict[str, dict[str, int]]]) -> list[str]:
@@ -210,13 +215,10 @@ def _escaped(text: str) -> str:
 
 HEAD = """# Catalogue of effects
 
-*Written by `python docs/examples/catalogue.py` from the code. `fluxtwin effects NAME` prints the same, with a
-section for a scenario.*
-
-The catalogue holds {count} effects that may happen in reality and that a simulation may lack, in physical
-order. A value of zero means that the effect is absent; each model states what a positive value means. Keys are
-those of `[effects.NAME]` in a [scenario](scenario.md#effectsname), with the number of components in brackets.
-*Typical* is the size at which the search begins.
+These are the {count} effects that may happen in reality and that a simulation may lack, in physical order. The page is
+made from the code (`python docs/examples/catalogue.py`); `fluxtwin effects NAME` prints a section for a scenario. A value
+of zero means that the effect is absent; each model states what a positive value means. Keys are those of `[effects.NAME]` in a [scenario](scenario.md#effectsname), with the number of components in brackets, the
+typical size, at which the search begins, and the physical range if it has ends.
 
 *Looks like* follows from the design alone, before any data: it is the share of an effect's signature that
 another effect can imitate, with `bias` and `scale_misalignment` fitted as well, if that share is {alike:.0%} or

@@ -217,8 +217,9 @@ HEAD = """# Catalogue of effects
 
 These are the {count} effects that may happen in reality and that a simulation may lack, in physical order. The page is
 made from the code (`python docs/examples/catalogue.py`); `fluxtwin effects NAME` prints a section for a scenario. A value
-of zero means that the effect is absent; each model states what a positive value means. Keys are those of `[effects.NAME]` in a [scenario](scenario.md#effectsname), with the number of components in brackets, the
-typical size, at which the search begins, and the physical range if it has ends.
+of zero means that the effect is absent; each model states what a positive value means. Keys are those of
+`[effects.NAME]` in a [scenario](scenario.md#effectsname), with the number of components in brackets, the typical size,
+at which the search begins, and the physical range if it has ends.
 
 *Looks like* follows from the design alone, before any data: it is the share of an effect's signature that
 another effect can imitate, with `bias` and `scale_misalignment` fitted as well, if that share is {alike:.0%} or

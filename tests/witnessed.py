@@ -27,8 +27,8 @@ an analytic solution or flight data. Of each test it shows the comparison that c
 python -m pytest -q --witnesses docs/witnesses.md tests
 ```
 
-| function | fluxtwin | reference | difference | allowed | unit | source | test |
-|---|---|---|---|---|---|---|---|
+| function | fluxtwin | reference | difference (allowed) | source, and test |
+|---|---|---|---|---|
 """
 _seen: dict[str, dict[str, Any]] = {}
 _sources: dict[str, str] = {}
@@ -83,9 +83,10 @@ def _line(function: str, test: str) -> str:
     one = _seen.get(test)
     where = f"[{test.partition('::')[2]}](../tests/{test.partition('::')[0]})"
     if one is None:
-        return f"| `{function}` | | | | | | not run here (its data are absent) | {where} |"
-    numbers = " | ".join(f"{one[key]:.9g}" if key in ("ours", "theirs") else f"{one[key]:.2g}" for key in _KEYS)
-    return f"| `{function}` | {numbers} | {one['unit']} | {_sources.get(test, '')} | {where} |"
+        return f"| `{function}` | | | | not run here (its data are absent): {where} |"
+    ours, theirs, gap, allowed = (f"{one[key]:.{9 if key in ('ours', 'theirs') else 2}g}" for key in _KEYS)
+    unit = "" if one["unit"] == "1" else f" {one['unit']}"
+    return f"| `{function}` | {ours} | {theirs} | {gap} ({allowed}){unit} | {_sources.get(test, '')} {where} |"
 
 
 _KEYS = ("ours", "theirs", "gap", "allowed")

@@ -12,7 +12,7 @@ def as_markdown(page: Page, folder: str = "") -> str:
         parts.append(f"## {section.title}")
         parts += [_escaped(paragraph) for paragraph in section.paragraphs]
         parts += [table_as_markdown(table) for table in section.tables]
-        parts += [f"![{block.caption}]({folder}{block.name}.png)\n\n{block.caption}" for block in section.figures]
+        parts += [f"![{block.name}]({folder}{block.name}.png)\n\n{block.caption}" for block in section.figures]
     if page.provenance:
         parts.append("\n".join(["## Provenance", "", *(f"- {key}: {value}" for key, value in page.provenance.items())]))
     return "\n\n".join(parts) + "\n"

@@ -23,12 +23,22 @@ from .harness import Row
 
 UNNOTICED = "small faults in sim, calib and gap that the nearest tests do not notice"
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "trust.md"
+LIST = PAGE.parent / "design" / "unnoticed.md"
+LISTED = """# Small faults that no test notices
+
+`benchmarks/mutants.py` puts one small fault at a time into the product and runs the nearest tests. Those of the newest
+record that they did not notice ([how many of how many](../trust.md)), with file, function, change and line:
+
+"""
 ABOUT = """# Robustness tests
 
 `python -m benchmarks.trust` makes this table. It damages files, fills disks, stops processes and runs the program in
 unusual places, and counts everything that should not have happened. Each trial runs in its own process, or is one of many
 in a process that is checked for an end by a signal. [SECURITY.md](../SECURITY.md) says what is refused, with the limits.
-The last row is about the tests: `benchmarks/mutants.py` puts one small fault at a time into the product.
+
+- *While a file is written*: the old or the new file must be whole, with a message and exit 2, and nothing else left.
+- The last row is about the tests: `benchmarks/mutants.py` puts one small fault at a time into the product
+  ([those not noticed](design/unnoticed.md)).
 
 | trial | how many | faults | wanted | found |
 |---|---|---|---|---|
@@ -82,12 +92,7 @@ def page(rows: list[Row], in_part: bool) -> str:
     old = PAGE.read_text(encoding="utf-8").splitlines() if in_part and PAGE.exists() else []
     lines = {line.split("|")[1].strip(): line for line in old if line.startswith("| ") and "| how many |" not in line}
     lines |= {row.name: as_line(row) for row in rows}
-    listed = [line for line in old if line.startswith("- ")]
-    for row in (one for one in rows if one.name == UNNOTICED):
-        listed = [f"- {fault}" for fault in row.faults]
-    return ABOUT + "\n".join(
-        [*lines.values(), "", *(["The small faults that are not noticed:", ""] if listed else []), *listed, ""]
-    )
+    return ABOUT + "\n".join([*lines.values(), ""])
 
 
 def main() -> int:
@@ -128,6 +133,8 @@ def main() -> int:
             print(f"    {fault}", flush=True)
     if not options.quick:
         PAGE.write_text(page(rows, bool(options.only)), encoding="utf-8")
+        for row in (one for one in rows if one.name == UNNOTICED):
+            LIST.write_text(LISTED + "\n".join([*(f"- {fault}" for fault in row.faults), ""]), encoding="utf-8")
     record: dict[str, Any] = {"rows": [vars(row) for row in rows], "faults": sum(len(row.faults) for row in rows)}
     if options.json is not None:
         options.json.write_text(json.dumps(record, indent=1), encoding="utf-8")

@@ -46,26 +46,32 @@ def readers(folder: Path, trials: int, slow_trials: int) -> list[Row]:
     """Mutants of every kind through its reader. trials: of all the fast kinds together; slow_trials: of each slow one."""
     made = corpus.make(folder)
     fast = [name for name in made if name not in corpus.SLOW]
-    rows = []
-    for name, read in made.items():
-        count = slow_trials if name in corpus.SLOW else -(-trials // len(fast))
-        with timed(Row(f"damaged {name} through its reader", count, reach="0 signals, tracebacks, hangs")) as row:
-            refused, limit_s = 0, 30.0 if name in corpus.SLOW else 5.0
-            read(folder / name)  # what is damaged below is good
-            good, place = (folder / name).read_bytes(), folder / "damaged" / name
-            place.parent.mkdir(exist_ok=True)
-            for beside in ("map.toml", "foreign.csv"):
-                shutil.copy(folder / beside, place.parent)
-            for first in range(0, count, _BATCH):
-                numbers = range(first, min(first + _BATCH, count))
-                works = [reading(read, place, mutated(good, np.random.default_rng([k, len(good)]))) for k in numbers]
-                for number, answer in zip(numbers, in_children(works, seconds=limit_s), strict=True):
-                    refused += answer == "refused"
-                    if answer not in ("refused", "read"):
-                        row.fault(f"{name} seed {number}: {answer}")
-            row.note = f"{refused} refused"
-        rows.append(row)
-    return rows
+    refusals = []
+    with timed(Row("damaged files through their readers", reach="0 signals, tracebacks, hangs")) as row:
+        for name, read in made.items():
+            count = slow_trials if name in corpus.SLOW else -(-trials // len(fast))
+            row.trials += count
+            refusals.append(f"{name} {_refused(row, folder, name, read, count)} of {count}")
+        row.note = f"refused: {', '.join(refusals)}"
+    return [row]
+
+
+def _refused(row: Row, folder: Path, name: str, read: Callable[[Path], object], count: int) -> int:
+    """How many of `count` mutants of a file its reader refuses; faults go into the row."""
+    refused, limit_s = 0, 30.0 if name in corpus.SLOW else 5.0
+    read(folder / name)  # what is damaged below is good
+    good, place = (folder / name).read_bytes(), folder / "damaged" / name
+    place.parent.mkdir(exist_ok=True)
+    for beside in ("map.toml", "foreign.csv"):
+        shutil.copy(folder / beside, place.parent)
+    for first in range(0, count, _BATCH):
+        numbers = range(first, min(first + _BATCH, count))
+        works = [reading(read, place, mutated(good, np.random.default_rng([k, len(good)]))) for k in numbers]
+        for number, answer in zip(numbers, in_children(works, seconds=limit_s), strict=True):
+            refused += answer == "refused"
+            if answer not in ("refused", "read"):
+                row.fault(f"{name} seed {number}: {answer}")
+    return refused
 
 
 def commands(folder: Path, trials: int) -> Row:

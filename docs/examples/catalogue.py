@@ -46,6 +46,75 @@ QUIET = {
     "magnetometer.lsb_nT": 0.01,
     "schedule.segments": [{"start_utc": "2026-03-01T00:00:00Z", "duration_min": 195.0, "step_s": 10.0}],
 }
+SETTINGS = {
+    "gravity_gradient_inertia_error": '`acts_in` ("both"; or "torque")',
+    "time_tag_offset": '`course` ("constant"; "linear": the rate applies, from `since`, the first row, on)',
+    "along_track_error": '`course` ("constant"; "linear": the rate applies, from `since`, the first row, on)',
+    "field_truncation": '`degree` (8); `truth` ("poorer"; or "richer")',
+    "ring_current": "`decay_h` (0: constant) counts from the first stamp",
+    "sun_sensor_head_misalignment": "`head` (0: any)",
+    "yaw_drift": (
+        '`when` ("always"; "eclipse": from zero at each entry into the shadow); `axis` ("nadir": the yaw '
+        'of the 3-1-2 set; or "body_z")'
+    ),
+    "attitude_step": "`at` (the middle row)",
+    "torquer_coupling": "in addition to T of eq. 1",
+    "solar_array_current": '`panel` ("zenith") is used if no current is recorded',
+    "driver": (
+        "`[effects.driver.NAME]`: NAME is its setting `column`, so there may be several; `delay_s` and "
+        "`lag_s` (0): it follows the column that much later, behind a first-order lag; "
+        "`typical_nT_per_unit` (20) is for the diagnosis only"
+    ),
+    "law": (
+        "`[effects.law.NAME]` (NAME is its setting `term`): a field in proportion to the product of the "
+        'factors `of`, along `axes` of the "body", "orbital", "inertial" or "earth" frame. A factor is a '
+        "recorded column (`driver_NAME`, `flag_NAME`, `temperature_degC`, ..., `dipole_x`, `wheel_1`), "
+        "`one`, `sunlit`, `sun_x`, `sun_height`, `rate_x` [deg/s], `field_x` or `field_size` [uT], with "
+        "`^2`, `^3`, `>LEVEL` behind it or `not`, `cos`, `sin`, `cos2`, `sin2` before it (of "
+        "`orbit_phase`, `local_time`, `latitude`, `longitude`, and columns that end in _deg); the "
+        "quantity of the first is taken `delay_s` before and behind a lag `lag_s`; `typical_nT_per_unit` "
+        "is for the diagnosis only"
+    ),
+    "heater_switching": (
+        "if there is no column: `sequence`, 0 or 1 a row, or `switches_utc`, the times at which it goes "
+        "on, off, on and so forth"
+    ),
+    "wheel_field": "the phase is that of `wheel` (1), or of the constant `frequency_Hz`",
+    "switched_field": (
+        '`condition` ("eclipse"): also `flag:NAME`, `night`, `interval` (`from_utc`, `to_utc`), `region` '
+        "(`region_deg`: south, north, west, east); `eclipse` and `night` with a `region_deg` hold inside "
+        "it only"
+    ),
+    "boom_bending": (
+        "straight at `reference_degC` (mean); if no temperature is recorded: `time_constant_s` (300) "
+        "behind sun and shadow"
+    ),
+    "bias": "in addition to that of the instrument",
+    "scale_misalignment": "in addition to that of the instrument",
+    "thermal_bias_drift": "zero at `reference_degC` (mean); `time_constant_s` (900) if no temperature is recorded",
+    "thermal_scale_drift": "zero at `reference_degC` (mean); `time_constant_s` (900) if no temperature is recorded",
+    "common_gain_drift": "of bias and the spacecraft's field, too; zero at `reference_degC` (mean); `time_constant_s` (1500) "
+    "if no temperature is recorded",
+    "linear_drift": '`of` ("bias"; or "scale": the diagonal of S); zero at `since` (the first row)',
+    "mounting_step": "`at` (the middle row)",
+    "bias_step": "`at` (the middle row)",
+    "hysteresis": (
+        '`width_nT` (4000) of the loops; `start` ("ooo") says how each axis came to the first row: `o` as'
+        " it goes on, `r` the other way, `n` neutral"
+    ),
+    "quadratic_nonlinearity": "the reading on the first axis gains the product of the two others named, so large at 50,000 nT",
+    "cubic_nonlinearity": "the reading on the first axis gains the product of the three others named, so large at 50,000 nT",
+    "sensor_lag": '`axis` ("all"; or "x", "y", "z")',
+    "excess_noise": '`axis` ("all"; or "x", "y", "z")',
+    "saturation": (
+        "`full_scale_nT` (the range, else the largest reading); `typical_nT` (2000) is for the diagnosis only"
+    ),
+    "bit_errors": (
+        '`bit` (any), `kind` ("flip"; or "stuck_0", "stuck_1"), `lsb_nT` of the code (the declared), '
+        '`axis` ("all"; or "x", "y", "z")'
+    ),
+}
+"""What a scenario may say of an effect beside its parameters, with the defaults in brackets."""
 ALIKE = 0.6
 """Share from which an effect is said to look like another."""
 
@@ -157,7 +226,7 @@ def page(alike: dict[str, dict[str, dict[str, int]]]) -> str:
 
 def _section(effect: Effect, alike: dict[str, dict[str, dict[str, int]]]) -> list[str]:
     about = effect.about[0].upper() + effect.about[1:]
-    facts = [f"coherent in the {effect.frame} frame" if effect.frame else "coherent in no frame"]
+    facts = [f"{effect.frame} frame" if effect.frame else "no frame"]
     if effect.follows:
         facts.append(f"follows {effect.follows}")
     if effect.equivalent_stages:
@@ -168,6 +237,7 @@ def _section(effect: Effect, alike: dict[str, dict[str, dict[str, int]]]) -> lis
         f"*{effect.title}.* {_escaped(about)}.",
         "",
         *_keys(every_key(effect)),
+        *([f"- In a scenario: {SETTINGS[effect.name]}."] if effect.name in SETTINGS else []),
         f"- {'; '.join(facts).capitalize()}.",
         f"- Settled by {effect.settled_by}.",
         *(f"- {one}" for one in _looks(effect.name, alike)),
@@ -219,7 +289,8 @@ These are the {count} effects that may happen in reality and that a simulation m
 made from the code (`python docs/examples/catalogue.py`); `fluxtwin effects NAME` prints a section for a scenario. A value
 of zero means that the effect is absent; each model states what a positive value means. Keys are those of
 `[effects.NAME]` in a [scenario](scenario.md#effectsname), with the number of components in brackets, the typical size,
-at which the search begins, and the physical range if it has ends.
+at which the search begins, and the physical range if it has ends. Below them are the frame in which the effect is constant
+and the quantity that it follows.
 
 *Looks like* follows from the design alone, before any data: it is the share of an effect's signature that
 another effect can imitate, with `bias` and `scale_misalignment` fitted as well, if that share is {alike:.0%} or

@@ -93,8 +93,8 @@ SETTINGS = {
     "scale_misalignment": "in addition to that of the instrument",
     "thermal_bias_drift": "zero at `reference_degC` (mean); `time_constant_s` (900) if no temperature is recorded",
     "thermal_scale_drift": "zero at `reference_degC` (mean); `time_constant_s` (900) if no temperature is recorded",
-    "common_gain_drift": "of bias and the spacecraft's field, too; zero at `reference_degC` (mean); `time_constant_s` (1500) "
-    "if no temperature is recorded",
+    "common_gain_drift": "of bias and spacecraft's field too; zero at `reference_degC` (mean); `time_constant_s` (1500) if no "
+    "temperature is recorded",
     "linear_drift": '`of` ("bias"; or "scale": the diagonal of S); zero at `since` (the first row)',
     "mounting_step": "`at` (the middle row)",
     "bias_step": "`at` (the middle row)",
@@ -102,8 +102,8 @@ SETTINGS = {
         '`width_nT` (4000) of the loops; `start` ("ooo") says how each axis came to the first row: `o` as'
         " it goes on, `r` the other way, `n` neutral"
     ),
-    "quadratic_nonlinearity": "the reading on the first axis gains the product of the two others named, so large at 50,000 nT",
-    "cubic_nonlinearity": "the reading on the first axis gains the product of the three others named, so large at 50,000 nT",
+    "quadratic_nonlinearity": "the first axis gains the product of the two others named, so large at 50,000 nT",
+    "cubic_nonlinearity": "the first axis gains the product of the three others named, so large at 50,000 nT",
     "sensor_lag": '`axis` ("all"; or "x", "y", "z")',
     "excess_noise": '`axis` ("all"; or "x", "y", "z")',
     "saturation": (

@@ -93,8 +93,8 @@ SETTINGS = {
     "scale_misalignment": "in addition to that of the instrument",
     "thermal_bias_drift": "zero at `reference_degC` (mean); `time_constant_s` (900) if no temperature is recorded",
     "thermal_scale_drift": "zero at `reference_degC` (mean); `time_constant_s` (900) if no temperature is recorded",
-    "common_gain_drift": "of bias and spacecraft's field too; zero at `reference_degC` (mean); `time_constant_s` (1500) if no "
-    "temperature is recorded",
+    "common_gain_drift": "of bias and spacecraft's field too; zero at `reference_degC` (mean); `time_constant_s` (1500) if "
+    "no temperature is recorded",
     "linear_drift": '`of` ("bias"; or "scale": the diagonal of S); zero at `since` (the first row)',
     "mounting_step": "`at` (the middle row)",
     "bias_step": "`at` (the middle row)",

@@ -23,12 +23,19 @@ calibration error. "Visible" is what an effect leaves after the best re-estimati
 `scale_misalignment`, rms per component, divided by the rms of the noise. `benchmarks/withheld.py` and
 `benchmarks/withheld_cases/` make and score the records.
 """
+_DETAILS = """# Withheld effects, case by case
+
+The records of the run on the page of the [withheld effects](../withheld.md), by population. *All right* lists those of which
+every answer was right, with their number; the others follow with what was said instead.
+"""
 
 
 def write(cases: Sequence[Judged], void: int, run: dict[str, Any], docs: Path) -> None:
     """docs/withheld.md and its figure. run: what `run.json` of the store holds."""
     _figure(score.confusion(cases), docs / "images" / FIGURE)
     files.write_text(docs / "withheld.md", page(cases, void, run))
+    (docs / "design").mkdir(exist_ok=True)
+    files.write_text(docs / "design" / "withheld_cases.md", details(cases))
 
 
 def page(cases: Sequence[Judged], void: int, run: dict[str, Any]) -> str:
@@ -52,13 +59,22 @@ def page(cases: Sequence[Judged], void: int, run: dict[str, Any]) -> str:
         "number of records; a name whose group holds the truth counts as the truth.",
         "## Stated probabilities",
         _reliability(cases),
+        "## Outside the catalogue",
+        promises.outside_list(cases),
+        score.seconds(cases)
+        + " [Every regime and every effect](design/withheld_cases.md) of this run has its own count.",
+    ]
+    return "\n\n".join(part.strip("\n") for part in parts) + "\n"
+
+
+def details(cases: Sequence[Judged]) -> str:
+    """What was right, regime by regime and effect by effect."""
+    parts = [
+        _DETAILS,
         "## By regime",
         score.by(cases, "regime", "regime"),
         "## By effect, shape and regime",
         score.by(cases, "label", "effect or member"),
-        "## Outside the catalogue",
-        promises.outside_list(cases),
-        score.seconds(cases),
     ]
     return "\n\n".join(part.strip("\n") for part in parts) + "\n"
 

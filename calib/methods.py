@@ -122,6 +122,7 @@ def calibrate_by(
     """
     from fluxtwin.calib.common.coverage import coverage_of
     from fluxtwin.calib.common.design import joined
+    from fluxtwin.calib.common.orbit_error import with_orbit_error
     from fluxtwin.calib.common.verdict import assess
 
     require(method, given)
@@ -134,7 +135,11 @@ def calibrate_by(
         taken = {name: value for name, value in wanted.items() if name in ESTIMATORS[compared.chosen].takes}
         return replace(calibrate_by(telemetry, model, compared.chosen, **taken), comparison=compared)
     estimator = ESTIMATORS[default_method(telemetry) if method is None else method]
-    fit = _named(estimator.fit(telemetry, model, _taken(estimator, given)), telemetry)
+    taken = _taken(estimator, given)
+    fit = with_orbit_error(
+        estimator.fit(telemetry, model, taken), telemetry, lambda moved: estimator.fit(moved, model, taken)
+    )
+    fit = _named(fit, telemetry)
     sigma_deg, reference = given.get("attitude_sigma_deg"), "attitude" in estimator.needs
     verdict = assess(fit, telemetry, attitude_sigma_deg=sigma_deg, against_attitude=reference)
     return replace(fit, verdict=verdict, coverage=coverage_of(fit, telemetry))

@@ -35,7 +35,7 @@ def record(table: FileTable, *, tle: Path | str | None = None, attitude: Path | 
     from fluxtwin.sim.telemetry import companions
 
     found = resolve(table.columns, table.where)
-    notices = list(table.notices)
+    notices, provenance = list(table.notices), dict(table.provenance)
     fields = _fields(table, found)
     time = table.time
     _check_time_present(time, table.where)
@@ -46,8 +46,9 @@ def record(table: FileTable, *, tle: Path | str | None = None, attitude: Path | 
     if tle is not None and "r_N_km" in fields:
         notices.append(f"the file has positions, so the elements in {Path(tle).name} were not used")
     elif tle is not None:
-        fields["r_N_km"], fields["v_N_km_s"], said = companions.positions(tle, time)
+        fields["r_N_km"], fields["v_N_km_s"], said, stated = companions.positions(tle, time)
         notices.extend(said)
+        provenance |= stated | ({companions.ATTITUDE_OF_ORBIT: "orbital"} if ANGLES.name in fields and stated else {})
     if ANGLES.name in fields:
         fields["q_NB"] = _from_angles(fields, time, notices, table.where)
     if attitude is not None and "q_NB" in fields:
@@ -59,7 +60,6 @@ def record(table: FileTable, *, tle: Path | str | None = None, attitude: Path | 
     _check_binary(fields, table.where)
     named = {column: table.columns[column] for columns in found.named.values() for column in columns.values()}
     notices.extend(_missing_rows({**fields, **named}))
-    provenance = dict(table.provenance)
     if notices:
         provenance["notices"] = "; ".join(notice.replace("; ", ", ") for notice in notices)
     try:

@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
 from fluxtwin.sim.earth import frames, references
+from fluxtwin.sim.telemetry import companions
 from fluxtwin.sim.telemetry.build import velocity_from_positions
 from fluxtwin.sim.telemetry.column_map import ColumnMap, ColumnSpec, FileEntry, matches
 from fluxtwin.sim.telemetry.column_map_read import Source, read_source, require_increasing
@@ -58,7 +59,9 @@ def merged_table(
             rows = _known(source.values["position"], source.values["velocity"])
             moved = source.values["velocity"] if source is master else _along_orbit(source, rows, time, 1)
             _put(columns, "velocity", moved)
-    r, v = _orbit(columns, time, tle, notices)
+    r, v, stated = _orbit(columns, time, tle, notices)
+    if attitude is not None and attitude[0].reference in references.OF_POSITION and stated:
+        stated |= {companions.ATTITUDE_OF_ORBIT: str(attitude[0].reference)}
     if attitude is not None:
         q = _absolute(attitude, time, r, v, master.where, notices)
         columns.update(zip(("q_x", "q_y", "q_z", "q_w"), q.T, strict=True))
@@ -71,7 +74,8 @@ def merged_table(
         if guessed:
             notices.append(f'linear between its samples: {", ".join(guessed)} (between = "hold" holds the last value)')
     where = path.where if isinstance(path, Table) else str(path)
-    return FileTable(where, time, columns, notices, {"source": Path(where).name, "sha256": digests}, units)
+    provenance = {"source": Path(where).name, "sha256": digests, **stated}
+    return FileTable(where, time, columns, notices, provenance, units)
 
 
 def attitude_at(
@@ -209,11 +213,10 @@ def _slerped(source: Source, time: TimeArray, notices: list[str]) -> tuple[Rotat
 
 def _orbit(
     columns: dict[str, FloatArray], time: TimeArray, tle: Path | str | None, notices: list[str]
-) -> tuple[FloatArray | None, FloatArray | None]:
+) -> tuple[FloatArray | None, FloatArray | None, dict[str, str]]:
+    stated: dict[str, str] = {}
     if "r_x_km" not in columns and tle is not None:
-        from fluxtwin.sim.telemetry.companions import positions
-
-        r, v, said = positions(tle, time)
+        r, v, said, stated = companions.positions(tle, time)
         _put(columns, "position", r)
         _put(columns, "velocity", v)
         notices.extend(said)
@@ -223,7 +226,7 @@ def _orbit(
         np.stack([columns[c] for c in quantity.plain], axis=1) if quantity.plain[0] in columns else None
         for quantity in (POSITION, VELOCITY)
     )
-    return position, velocity
+    return position, velocity, stated
 
 
 def _absolute(

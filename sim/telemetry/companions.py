@@ -16,21 +16,27 @@ from fluxtwin.sim.telemetry.formats import ccsds
 ORBIT_GAP_S = 300.0
 """In low orbit a cubic through positions and velocities 300 s apart is 0.02 km off."""
 ATTITUDE_GAP_S = 60.0
+ALONG_TRACK_KM = "along_track_sigma_km"
+"""Key of a record's provenance: the error along the track of positions from two-line elements, 1 sigma."""
+ATTITUDE_OF_ORBIT = "attitude_relative_to"
+"""Likewise, beside it: the axes of the orbit or of the place that the attitude was recorded relative to."""
 
 
-def positions(path: Path | str, time: TimeArray) -> tuple[FloatArray, FloatArray, list[str]]:
-    """Position [km] and velocity [km/s], GCRS, each (N, 3), at the stamps, and what is to be said of them.
+def positions(path: Path | str, time: TimeArray) -> tuple[FloatArray, FloatArray, list[str], dict[str, str]]:
+    """Position [km] and velocity [km/s], GCRS, each (N, 3), at the stamps, what is to be said of them, and provenance.
 
     path: two-line elements, one set or many, or a CCSDS OEM. Rows out of an OEM's reach are NaN. Raises BadInput.
     """
     file = Path(path)
     if ccsds.is_message(file, "OEM"):
-        return _from_oem(file, time)
-    from fluxtwin.sim.earth.tle import read_elements
+        return *_from_oem(file, time), {}
+    from fluxtwin.sim.earth.tle import along_track_sigma_km, read_elements
 
     elements = read_elements(path)
     said = f"positions and velocities were computed from the elements in {file.name}"
-    return *elements.propagate(time), [said, *elements.notices(time)]
+    sizes_km = np.array([along_track_sigma_km(days) for days in np.unique(elements.age_days(time).round(2))])
+    stated = {ALONG_TRACK_KM: f"{np.sqrt(np.mean(sizes_km**2)):.3g}"}
+    return *elements.propagate(time), [said, *elements.notices(time)], stated
 
 
 def attitude(

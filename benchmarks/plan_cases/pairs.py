@@ -20,12 +20,12 @@ PAIRS: dict[tuple[str, str], dict[str, Any]] = {
     ("solar_array_current", "battery_current"): {},
     ("quadratic_nonlinearity", "thermal_scale_drift"): {},
     ("quadratic_nonlinearity", "thermal_bias_drift"): {},
-    ("quadratic_nonlinearity", "horizon_scanner_bias"): {},
+    ("common_gain_drift", "thermal_scale_drift"): {},
     ("quadratic_nonlinearity", "solar_array_current"): {},
     ("cubic_nonlinearity", "quadratic_nonlinearity"): {},
     ("cubic_nonlinearity", "hysteresis"): {},
     ("thermal_bias_drift", "thermal_scale_drift"): {},
-    ("boom_bending", "horizon_scanner_bias"): {},
+    ("linear_drift", "thermal_bias_drift"): {},
 }
 """By pair: what the spacecraft does in its record beside what is drawn."""
 ENERGY = (35.0, 70.0)

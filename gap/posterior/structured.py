@@ -17,7 +17,7 @@ from scipy.special import expit
 from fluxtwin.gap.detectors import proposals
 from fluxtwin.gap.detectors.finding import Finding
 from fluxtwin.gap.detectors.full_rate import FullRate
-from fluxtwin.gap.detectors.lines import line_near, wheel_line
+from fluxtwin.gap.detectors.lines import independent_frequencies, line_near, wheel_line
 from fluxtwin.gap.detectors.random_walk import random_walk
 from fluxtwin.gap.detectors.residual_structure import Structure, residual_structure
 from fluxtwin.gap.hypotheses.evidence import Dictionary
@@ -27,7 +27,7 @@ from fluxtwin.gap.noise.walk import gain, likeliest_rate
 from fluxtwin.gap.noise.whitening import with_walk
 from fluxtwin.gap.posterior.explanations import Answer, Known, answered_with, log_likelihood, signals_of, without_names
 from fluxtwin.gap.problem.problem import Problem
-from fluxtwin.gap.selection.criterion import LOG_FURTHER, THRESHOLD, worth
+from fluxtwin.gap.selection.criterion import LOG_FURTHER, SHAPE, THRESHOLD, worth
 from fluxtwin.gap.selection.search import IN_GROUP
 from fluxtwin.sim.base.types import FloatArray
 
@@ -181,11 +181,24 @@ class Structured:
             setting, left = self.problem.setting, self._left(answer)
             longer = wheel_line(setting, left, line_near(setting.seconds, left, fast.line.frequency_Hz))
             return self.given(answer, longer if longer is not None and longer.confirmed else wheel)
-        if answer.left.structured:
+        if (
+            answer.left.structured and answer.left.kind != "tone"
+        ):  # a slower line may be this one, seen in some rows only
             return answer
         words = f"a line at a period of {1 / fast.line.frequency_Hz:.3g} s, in the full rate"
-        found = Structure(fast.line.worth, fast.line.explained, "tone", words)
-        return replace(answer, left=found, known=0.0)
+        tried = float(np.log(independent_frequencies(fast.problem.setting.seconds)))
+        found = Structure(fast.line.worth, fast.line.explained, "tone", words, rank=6, log_tried=tried)
+        return replace(answer, left=found, known=answer.known * self._known(answer, found))
+
+    def _known(self, answer: Answer, line: Structure) -> float:
+        """Probability that a line is of the shape error of what is named."""
+        result, whitener = answer.result, answer.whitener
+        if not result.chosen:
+            return 0.0
+        alone = projected(whitener, result.residual_alone_nT, without_names(self.problem, answer))
+        explained = max(alone.energy - projected(whitener, result.residual_nT, answer.fitted_nT).energy, 0.0)
+        beyond = line.beyond(1.0 + SHAPE * explained, max(whitener.measured / 3.0, 2.0))
+        return float(expit(0.5 * (LOG_FURTHER - beyond)))
 
 
 def _declared(problem: Problem, noise: NoiseModel) -> list[NoiseModel]:

@@ -137,6 +137,19 @@ def test_outliers_of_a_long_record_are_counted_in_every_row() -> None:
     assert f"{rows.size} rows have outliers of more than six sigma" in found.sentence
 
 
+def test_a_faint_fast_line_does_not_take_the_name_from_a_large_effect() -> None:
+    """A line that only the full rate shows: alone it is unknown, beside a hundred times its energy it is what is left."""
+    segment = {"start_utc": "2026-03-01T00:00:00Z", "step_s": 5.0, "samples": 6000}
+    record = simulate(readme_scenario().updated({"schedule.segments": [segment]}))[0]
+    line_nT = 5.0 * np.sin(2.0 * np.pi / 13.0 * 5.0 * np.arange(6000))[:, None] * [1.0, 0.0, 0.0]
+    step_nT = np.where(np.arange(6000) > 2900, 500.0, 0.0)[:, None] * [0.0, 1.0, 0.0]
+    alone = asked(record.replace(mag_B_nT=record.mag_B_nT + line_nT), DECLARED)
+    both = asked(record.replace(mag_B_nT=record.mag_B_nT + line_nT + step_nT), DECLARED)
+    assert alone.verdict == "unknown" and "a line at a period of 13 s, in the full rate" in alone.sentence
+    assert both.verdict == "effect" and [one.name for one in both.effects] == ["bias_step"]
+    assert both.gap.shape_incomplete and "some smaller structure remains" in both.sentence
+
+
 def test_a_stuck_axis_is_a_finding_and_no_effect(record: Telemetry) -> None:
     """One axis repeats for half an hour: attitude_step and switched_field describe it well, and neither is there."""
     reading = np.array(record.mag_B_nT)

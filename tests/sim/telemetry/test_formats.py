@@ -198,6 +198,29 @@ def test_orbit_and_attitude_go_out_and_come_back(record: fluxtwin.Telemetry, tmp
         fluxtwin.write(bare, tmp_path / "none.aem")
 
 
+def test_messages_go_through_another_reader_and_writer_and_come_back(
+    record: fluxtwin.Telemetry, tmp_path: Path
+) -> None:
+    """The witness is the strict parser of ccsds-ndm-py: what we write it reads, and what it then writes we read."""
+    ccsds_ndm = pytest.importorskip("ccsds_ndm")
+    attitude = ccsds_ndm.Aem.from_file(str(fluxtwin.write(record, tmp_path / "a.aem")))
+    orbit = ccsds_ndm.Oem.from_file(str(fluxtwin.write(record, tmp_path / "o.oem")))
+    assert attitude.segments[0].metadata.ref_frame_a == "GCRF" and orbit.segments[0].metadata.time_system == "UTC"
+    states = orbit.segments[0].data.state_vector
+    theirs = [states[3].x, states[3].y, states[3].z]
+    assert np.allclose(theirs, np.array(record.r_N_km)[3], atol=1e-9)
+    for message, name in ((attitude, "theirs.aem"), (orbit, "theirs.oem")):
+        lines = message.to_str("kvn").splitlines(keepends=True)
+        (tmp_path / name).write_text("".join(line for line in lines if "SHA-256" not in line), encoding="utf-8")
+    bare = fluxtwin.write(record.replace(q_NB=None, r_N_km=None, v_N_km_s=None), tmp_path / "t.nc")
+    ours, found = (
+        fluxtwin.read(bare, tle=tmp_path / f"{name}.oem", attitude=tmp_path / f"{other}.aem")
+        for name, other in (("o", "a"), ("theirs", "theirs"))
+    )
+    assert np.allclose(found.r_N_km, ours.r_N_km, atol=1e-9) and np.allclose(found.v_N_km_s, ours.v_N_km_s, atol=1e-12)
+    assert np.allclose(found.q_NB, ours.q_NB, atol=1e-12, equal_nan=True)
+
+
 @pytest.mark.skipif(importlib.util.find_spec("brahe") is None, reason="brahe (200 MB with its polars) is not installed")
 def test_what_we_write_is_what_brahe_reads(record: fluxtwin.Telemetry, tmp_path: Path) -> None:
     from brahe import ccsds  # type: ignore[import-not-found,unused-ignore]

@@ -20,11 +20,12 @@ from typing import Any
 import numpy as np
 
 import fluxtwin
+from fluxtwin.notebook import usual
 from fluxtwin.outputs import JSON_MARK
 from fluxtwin.scenarios.packaged import as_scenario
 from fluxtwin.sim.base import files
 from fluxtwin.sim.base.errors import BadInput, NoAnswer
-from fluxtwin.sim.base.progress import Progress, silent
+from fluxtwin.sim.base.progress import Progress
 from fluxtwin.sim.base.seals import sealed_json, unsealed_json
 from fluxtwin.sim.base.workers import answers, require_workers
 from fluxtwin.sim.run.ensemble.draws import flattened
@@ -59,7 +60,7 @@ def campaign(
     scheduler: str | None = None,
     executor: Executor | None = None,
     resume: bool = False,
-    progress: Progress = silent,
+    progress: Progress = usual,
 ) -> Campaign:
     """Fly so many runs of a scenario with [draws], calibrate and diagnose each; the folder `out` keeps the results.
 

@@ -18,10 +18,11 @@ from fluxtwin.gap.planning.base import base_tree
 from fluxtwin.gap.problem.problem import DEFAULT_MODELLED, Budget
 from fluxtwin.gap.records.diagnosis import Diagnosis
 from fluxtwin.gap.report import input_warnings, words
+from fluxtwin.notebook import usual
 from fluxtwin.one_thread import on_one_blas_thread
 from fluxtwin.scenarios.packaged import as_scenario
 from fluxtwin.sim.base.errors import BadInput, NoAnswer
-from fluxtwin.sim.base.progress import Progress, silent
+from fluxtwin.sim.base.progress import Progress
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.earth.field_models import load_field
 from fluxtwin.sim.effects.catalogue import find_effect
@@ -87,7 +88,7 @@ def diagnose(
     *,
     scenario: Scenario | Path | str | None = None,
     modelled: Sequence[str] = DEFAULT_MODELLED,
-    progress: Progress = silent,
+    progress: Progress = usual,
     **options: Unpack[AssumedAndReading],
 ) -> Diagnosis:
     """Where the gap between a record and its simulation lies, which effect causes it, how far it shrinks.

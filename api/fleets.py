@@ -12,9 +12,10 @@ import numpy as np
 from fluxtwin.calib.common.digits import measured, plain
 from fluxtwin.diagnosing import Assumed, diagnose, with_assumed
 from fluxtwin.gap.problem.problem import DEFAULT_MODELLED
+from fluxtwin.notebook import usual
 from fluxtwin.scenarios.page import Table
 from fluxtwin.sim.base.errors import BadInput
-from fluxtwin.sim.base.progress import Progress, silent
+from fluxtwin.sim.base.progress import Progress
 from fluxtwin.sim.base.workers import answers, require_workers
 from fluxtwin.sim.telemetry.telemetry_files import Readable
 
@@ -33,7 +34,7 @@ def fleet(
     jobs: int | None = None,
     scheduler: str | None = None,
     executor: Executor | None = None,
-    progress: Progress = silent,
+    progress: Progress = usual,
     **assumed: Unpack[Assumed],
 ) -> Fleet:
     """Which effect is common to vehicles of one design, and which belongs to one.
@@ -59,7 +60,7 @@ def diagnoses(
     jobs: int | None = None,
     scheduler: str | None = None,
     executor: Executor | None = None,
-    progress: Progress = silent,
+    progress: Progress = usual,
 ) -> dict[str, Diagnosis]:
     """The diagnosis of each record by itself, in their order; options: of `diagnose`."""
     require_workers(jobs, scheduler)

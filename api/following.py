@@ -23,10 +23,11 @@ from fluxtwin.diagnosing import AssumedAndReading, budget_of, declared_in, diagn
 from fluxtwin.gap.diagnose import new_rounding
 from fluxtwin.gap.problem.problem import DEFAULT_MODELLED
 from fluxtwin.gap.watch import FIRST_ROWS, FIRST_S, RUN, Changed, Watch, begin, enough
+from fluxtwin.notebook import usual
 from fluxtwin.one_thread import on_one_blas_thread
 from fluxtwin.sim.base.errors import BadInput, NoAnswer
 from fluxtwin.sim.base.processes import stop_if_asked
-from fluxtwin.sim.base.progress import Progress, silent
+from fluxtwin.sim.base.progress import Progress
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.earth.field_models import load_field
 from fluxtwin.sim.telemetry.csv_files import without_comments
@@ -83,7 +84,7 @@ def follow(
     calibration: Calibration | Path | str | None = None,
     modelled: Sequence[str] = DEFAULT_MODELLED,
     said: Callable[[str], None] = lambda line: None,
-    progress: Progress = silent,
+    progress: Progress = usual,
     **options: Unpack[AssumedAndReading],
 ) -> Followed:
     """Watch rows as they come until something changes or the stream ends, and diagnose what was seen.

@@ -20,11 +20,12 @@ from fluxtwin.gap.problem.problem import DEFAULT_MODELLED, Budget, pose
 from fluxtwin.gap.records.diagnosis import Diagnosis
 from fluxtwin.gap.records.plan import CalibrationPlan, Plan, Question
 from fluxtwin.gap.records.schema import diagnosis_schema
+from fluxtwin.notebook import usual
 from fluxtwin.one_thread import on_one_blas_thread
 from fluxtwin.scenarios.packaged import as_scenario
 from fluxtwin.sim.base.errors import BadInput, NoAnswer
 from fluxtwin.sim.base.limits import text_of
-from fluxtwin.sim.base.progress import Progress, silent
+from fluxtwin.sim.base.progress import Progress
 from fluxtwin.sim.base.seals import unsealed_json
 from fluxtwin.sim.base.toml_input import read_model, validate
 from fluxtwin.sim.earth import epoch, frames, sun
@@ -62,7 +63,7 @@ def plan(
     scenario: Scenario | Path | str | None = None,
     names: Sequence[str] = (),
     modelled: Sequence[str] = DEFAULT_MODELLED,
-    progress: Progress = silent,
+    progress: Progress = usual,
     **options: Unpack[AssumedAndReading],
 ) -> Plan | CalibrationPlan:
     """What to fly next so that a diagnosis can tell what this one leaves open, with the power of each manoeuvre.

@@ -6,13 +6,14 @@ import shlex
 from pathlib import Path
 
 import fluxtwin
+from fluxtwin.notebook import usual
 from fluxtwin.outputs import JSON_MARK
 from fluxtwin.report import png_bytes, write_page
 from fluxtwin.scenarios.page import StudyResult
 from fluxtwin.scenarios.registry import STUDIES, find_study
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.files import writable_folder, write_bytes, write_json
-from fluxtwin.sim.base.progress import Progress, part_of, silent
+from fluxtwin.sim.base.progress import Progress, part_of
 from fluxtwin.sim.base.seals import sealed_json
 
 
@@ -20,7 +21,7 @@ def run_study(
     name: str,
     out: Path | str | None = None,
     data: Path | str | None = None,
-    progress: Progress = silent,
+    progress: Progress = usual,
     *,
     attitude: str | None = None,
 ) -> tuple[StudyResult, list[Path]]:

@@ -11,9 +11,10 @@ import numpy as np
 from fluxtwin.calib.common.digits import measured
 from fluxtwin.calib.common.records import Calibration
 from fluxtwin.calib.methods import with_options
+from fluxtwin.notebook import usual
 from fluxtwin.scenarios.page import FigureBlock, Page, PageSection, Table
 from fluxtwin.sim.base.errors import BadInput
-from fluxtwin.sim.base.progress import Progress, silent
+from fluxtwin.sim.base.progress import Progress
 from fluxtwin.sim.earth.field_models import FieldModel
 from fluxtwin.sim.telemetry.record import Telemetry
 from fluxtwin.verbs import as_record, calibrate, reading_of, with_reading
@@ -34,7 +35,7 @@ def trend(
     every_h: float | None = None,
     field: str | FieldModel = "igrf14",
     degree: int | None = None,
-    progress: Progress = silent,
+    progress: Progress = usual,
     **options: Any,
 ) -> Trend:
     """Does last month's calibration still hold? From calibrations, or from telemetry that is calibrated here.

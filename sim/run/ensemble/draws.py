@@ -95,20 +95,23 @@ def quantile(draw: DrawSection, value: FloatArray, uniform: FloatArray, *, where
 
     Raises BadInput where a cut-off leaves nothing of a normal distribution.
     """
-    if draw.kind in ("uniform", "log_uniform"):
+    kind = draw.kind
+    if kind in ("uniform", "log_uniform"):
         low, high = (np.asarray(end, dtype=np.float64) for end in draw.given)
-        if draw.kind == "uniform":
+        if kind == "uniform":
             return np.asarray(low + (high - low) * uniform)
         return np.asarray(low * np.exp(np.log(high / low) * uniform))
-    if draw.kind == "isotropic":
+    if kind == "isotropic":
         direction = ndtri(uniform)
         return np.asarray(draw.given * direction / np.linalg.norm(direction))
-    sigma = np.asarray(draw.given, dtype=np.float64) * (np.abs(value) if draw.kind == "relative_normal" else 1.0)
+    sigma = np.asarray(draw.given, dtype=np.float64) * (np.abs(value) if kind == "relative_normal" else 1.0)
     return _cut_normal(value, np.broadcast_to(sigma, value.shape), draw, uniform, where)
 
 
 def _cut_normal(mean: FloatArray, sigma: FloatArray, draw: DrawSection, uniform: FloatArray, where: str) -> FloatArray:
     """The quantile of a normal distribution between the draw's limits; a sigma of 0 is the mean."""
+    if draw.at_least is None and draw.at_most is None:
+        return np.asarray(mean + sigma * ndtri(uniform))
     low = -np.inf if draw.at_least is None else np.asarray(draw.at_least, dtype=np.float64)
     high = np.inf if draw.at_most is None else np.asarray(draw.at_most, dtype=np.float64)
     scale = np.where(sigma > 0.0, sigma, 1.0)

@@ -12,6 +12,7 @@ import hashlib
 import math
 import re
 from collections.abc import Iterator, Sequence
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -67,7 +68,7 @@ class NetcdfFile:
     def __enter__(self) -> NetcdfFile:
         import h5py
 
-        self.sha256, self.bytes = _file_digest(self.path, self.where)
+        self.bytes = _size(self.path, self.where)
         with self._reading("is not a NetCDF-4 file, or is damaged"):
             self._file = h5py.File(self.path, "r")
         return self
@@ -76,6 +77,15 @@ class NetcdfFile:
         if self._file is not None:
             with contextlib.suppress(Exception):
                 self._file.close()
+
+    @cached_property
+    def sha256(self) -> str:
+        """Digest of the file, which is read through for it."""
+        try:
+            with open(self.path, "rb") as opened:
+                return hashlib.file_digest(opened, "sha256").hexdigest()
+        except OSError as error:
+            raise BadInput(f"cannot be read ({error.strerror or error})", where=self.where) from None
 
     def names(self) -> list[str]:
         """Variables of the root group. Raises BadInput for links that leave the file."""
@@ -339,14 +349,15 @@ def _origin(text: str) -> str:
     return re.sub(r"\s*(UTC|Z|\+?00:?00)$", "", text.strip()) if not text.strip().endswith(":00") else text.strip()
 
 
-def _file_digest(path: Path, where: str) -> tuple[str, int]:
+def _size(path: Path, where: str) -> int:
+    """Bytes of a file that can be opened and read."""
     try:
         found = path.stat()
         require_kind(found, where, "a telemetry file (.csv, .csv.gz or .nc)", pipe=False)
         if found.st_size == 0:
             raise BadInput("the file is empty", where=where, wanted="a NetCDF-4 file")
-        with open(path, "rb") as opened:
-            return hashlib.file_digest(opened, "sha256").hexdigest(), found.st_size
+        with open(path, "rb"):
+            return found.st_size
     except FileNotFoundError:
         raise BadInput("there is no such file", where=where) from None
     except OSError as error:

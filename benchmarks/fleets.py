@@ -1,12 +1,13 @@
 """Does a fleet show what no vehicle shows by itself?
 
-    python benchmarks/fleets.py [--fleets N] [--vehicles V] [--seed S] [--jobs J] [--quick]
+    python benchmarks/fleets.py [--fleets N] [--vehicles V] [--visible SHARE] [--seed S] [--jobs J] [--quick]
 
 Each fleet flies one design on V orbits of its own with calibrations of their own, five hours each. All have one effect in
-common, one of four, at half of the smallest size that the first vehicle's diagnosis says it would have shown; or none.
-Printed: fleets whose common effect is named, and by how many vehicles by themselves; the sigma of the size over that of the
-best vehicle; fleets without an effect of which one is said; vehicles wrongly singled out. Forward models are those of
-the simulator: what is measured is the sum over vehicles, not the catalogue.
+common, one of four, so small that what a calibration leaves of it is a given share of the noise (rms per component, the
+errors of the attitude in the noise); or none. Printed: fleets whose common effect is named, and by how many vehicles by
+themselves; the error of the size against that of the vehicle that knows best by itself; fleets without an effect of which one
+is said; vehicles wrongly singled out; processor time of putting together all vehicles that were flown, and a tenth of them.
+Forward models are those of the simulator: what is measured is the sum over vehicles, not the catalogue.
 """
 
 # ruff: noqa: E402  (the thread counts must be set before numpy is loaded)
@@ -20,6 +21,7 @@ for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 import argparse
 import re
 import sys
+import time
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -38,7 +40,8 @@ EFFECTS = {
     "yaw_drift": "rate_deg_h",
     "sensor_lag": "lag_s",
 }
-SHARE = 0.5
+NOISE_NT, STEP_NT, ATTITUDE_DEG = 20.0, 10.0, 0.1
+VISIBLE = 0.1
 
 
 def design() -> Scenario:
@@ -59,19 +62,38 @@ def asked(seed: int, vehicle: int, effect: dict[str, float]) -> Diagnosis:
     }
     changes = {f"effects.{name}.{EFFECTS[name]}": size for name, size in effect.items()}
     record, _ = fluxtwin.simulate(design().updated({**drawn, **changes}))
-    return fluxtwin.diagnose(record, noise_nT=20.0, lsb_nT=10.0, attitude_sigma_deg=0.1, attitude_tau_s=300.0)
+    return fluxtwin.diagnose(
+        record, noise_nT=NOISE_NT, lsb_nT=STEP_NT, attitude_sigma_deg=ATTITUDE_DEG, attitude_tau_s=300.0
+    )
 
 
-def flown(seed: int, vehicles: int, name: str | None) -> tuple[str | None, float, Fleet]:
+def noise_rms_nT(seed: int) -> float:
+    """Of the sensor, its steps, and the attitude times the field across, per component."""
+    record, _ = fluxtwin.simulate(design().updated({"seed": seed}))
+    across = 2.0 / 3.0 * np.radians(ATTITUDE_DEG) ** 2 * float(np.mean(np.sum(record.mag_B_nT**2, axis=1)))
+    return float(np.sqrt(NOISE_NT**2 + STEP_NT**2 / 12.0 + across))
+
+
+def flown(seed: int, vehicles: int, name: str | None, visible: float) -> tuple[str | None, float, Fleet]:
     """A fleet whose vehicles have the effect in common, or none."""
     size = 0.0
     if name is not None:
         smallest = asked(seed, 0, {}).minimum_detectable.get(name)
         if smallest is None:
             return None, 0.0, fleet([], [])
-        size = SHARE * smallest.value
+        size = smallest.value * visible * noise_rms_nT(seed) / smallest.visible_nT
     found = [asked(seed, vehicle, {} if name is None else {name: size}) for vehicle in range(vehicles)]
     return name, size, fleet([str(vehicle) for vehicle in range(vehicles)], found)
+
+
+def _processor_s(diagnoses: list[Diagnosis]) -> float:
+    """The least of five runs."""
+    took = []
+    for _ in range(5):
+        began = time.process_time()
+        fleet([str(number) for number in range(len(diagnoses))], diagnoses)
+        took.append(time.process_time() - began)
+    return min(took)
 
 
 def main() -> int:
@@ -79,13 +101,15 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--fleets", type=int, default=20, help="with an effect, and as many without")
     parser.add_argument("--vehicles", type=int, default=20)
+    parser.add_argument("--visible", type=float, default=VISIBLE, help=f"share of the noise ({VISIBLE})")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--quick", action="store_true", help="a fleet of three with an effect and one without")
     given = parser.parse_args()
     count, vehicles = (1, 3) if given.quick else (given.fleets, given.vehicles)
     names = [list(EFFECTS)[number % len(EFFECTS)] for number in range(count)]
-    calls = [(given.seed * 1000 + number, vehicles, name) for number, name in enumerate([*names, *[None] * count])]
+    wanted = [*names, *[None] * count]
+    calls = [(given.seed * 1000 + number, vehicles, name, given.visible) for number, name in enumerate(wanted)]
     if given.jobs == 1:
         fleets = [flown(*call) for call in calls]
     else:
@@ -112,6 +136,9 @@ def main() -> int:
         )
     print(f"fleets without an effect of which one is said: {alarms} of {count}")
     print(f"vehicles singled out, none of which is odd: {faults} of {2 * count * vehicles}")
+    many = [one for _, _, found in fleets for one in found.diagnoses]
+    for some in (many[: max(3, len(many) // 10)], many):
+        print(f"put together, {len(some)} diagnoses: {1e3 * _processor_s(some):.0f} ms of the processor")
     return 0
 
 

@@ -5,7 +5,7 @@
 Each fleet flies one design on V orbits of its own with calibrations of their own, five hours each. All have one effect in
 common, one of four, so small that what a calibration leaves of it is a given share of the noise (rms per component, the
 errors of the attitude in the noise); or none. Printed: fleets whose common effect is named, and by how many vehicles by
-themselves; the error of the size against that of the vehicle that knows best by itself; fleets without an effect of which one
+themselves; the error of the size over that of the vehicle that knows best by itself; fleets without an effect of which one
 is said; vehicles wrongly singled out; processor time of putting together all vehicles that were flown, and a tenth of them.
 Forward models are those of the simulator: what is measured is the sum over vehicles, not the catalogue.
 """

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import solve_triangular
+from scipy.linalg.lapack import dgeqrf
 
 from fluxtwin.sim.base.types import FloatArray
 
@@ -52,10 +53,20 @@ def regress(y: FloatArray, x_parts: Sequence[FloatArray], weights: FloatArray | 
     mean_x = np.concatenate([np.zeros(0), *(a @ part for part in x_parts)])
     mean_y = a @ y
     m = mean_x.size
-    triangle = np.zeros((m + 3, m + 3))
-    for at, x in blocks(x_parts, len(y)):
-        rows = np.hstack([x - mean_x, y[at] - mean_y]) * np.sqrt(a[at])[:, None]
-        triangle = np.asarray(np.linalg.qr(np.vstack([triangle, rows]), mode="r"), dtype=np.float64)
+    columns = [part[:, j] for part in (*x_parts, y) for j in range(part.shape[1])]
+    means, k = np.concatenate([mean_x, mean_y]), m + 3
+    triangle, rows = np.zeros((k, k)), np.empty((0, k))
+    for start in range(0, len(y), BLOCK_ROWS):
+        at = slice(start, start + BLOCK_ROWS)
+        root = np.sqrt(a[at])
+        if len(rows) != k + root.size:
+            rows = np.empty((k + root.size, k), order="F")
+        rows[:k] = triangle
+        for j, column in enumerate(columns):  # one by one: numpy is slow along rows of a few numbers
+            np.subtract(column[at], means[j], out=rows[k:, j])
+            rows[k:, j] *= root
+        rows = dgeqrf(rows, overwrite_a=True)[0]
+        triangle = np.triu(rows[:k])
     R, Q_y, rest = triangle[:m, :m], triangle[:m, m:], triangle[m:, m:]
     M = solve_triangular(R, Q_y).T
     return Regression(M, mean_y - M @ mean_x, mean_x, R.T @ R, rest.T @ rest)

@@ -60,6 +60,8 @@ class TimeRecipe(Strict):
     """Time scale of the stamps; None: that of the recipe, which is UTC where `time_recipes` does not say another."""
     format: str | None = None
     """Of the recipe `text`, as strptime has it: `%d/%m/%Y %H:%M:%S.%f`."""
+    unit_s: list[float] | None = None
+    """Seconds that one unit of each column has, where it is not that of the recipe, as [604800, 0.001] of weeks and ms."""
     zone: str | None = None
     """Of local times: `Europe/Berlin` or `+02:00`; text that states its own zone keeps it."""
     offset_s: float = 0.0
@@ -75,7 +77,9 @@ class TimeRecipe(Strict):
     @model_validator(mode="after")
     def _complete(self) -> Self:
         counted = time_recipes.COUNTED.get(self.recipe)
-        wanted = len(counted.units_s) if counted is not None else 1
+        wanted = len(self.unit_s or counted.units_s) if counted is not None else 1
+        if self.unit_s is not None and (counted is None or not self.unit_s or min(self.unit_s) <= 0.0):
+            raise ValueError("unit_s has a positive number of seconds for each column of a recipe that counts")
         if len(self.names) != wanted and not (self.recipe in ("iso", "text") and self.names):
             raise ValueError(f"recipe {self.recipe} takes {wanted} column{'s' if wanted > 1 else ''}")
         if counted is not None and counted.scale == "GPS" and self.scale not in (None, "GPS"):

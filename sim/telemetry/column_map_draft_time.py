@@ -76,11 +76,13 @@ def recipe(header: Header) -> tuple[str, set[str], str]:
 def _weeks(numbers: Mapping[str, FloatArray]) -> tuple[str, set[str], str] | None:
     """GPS week and second of week."""
     weeks = [n for n, v in numbers.items() if _WEEK.search(n) and np.nanmax(v) < 1e4 and not np.any(v % 1.0 > 0.0)]
-    seconds = [n for n, v in numbers.items() if _OF_WEEK.search(n) and np.nanmin(v) >= 0.0 and np.nanmax(v) <= _WEEK_S]
-    for week, second in itertools.product(weeks, seconds):
-        if week != second:
+    seconds = [n for n, v in numbers.items() if _OF_WEEK.search(n) and np.nanmin(v) >= 0.0]
+    for (week, second), unit_s in itertools.product(itertools.product(weeks, seconds), (1.0, 1e-3)):
+        if week != second and np.nanmax(numbers[second]) * unit_s <= _WEEK_S:
             doubt = "the week counts from 1980 (no roll-over), seconds of week are GPS time"
-            return f'{{ recipe = "gps_week_tow", columns = {json.dumps([week, second])} }}', {week, second}, doubt
+            unit = "" if unit_s == 1.0 else f", unit_s = [604800, {unit_s}]"
+            text = f'{{ recipe = "gps_week_tow", columns = {json.dumps([week, second])}{unit} }}'
+            return text, {week, second}, doubt
     return None
 
 

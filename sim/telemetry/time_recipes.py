@@ -71,14 +71,14 @@ def stamps(raw: FloatArray, recipe: TimeRecipe) -> TimeArray:
     """UTC stamps (N,) of the counts (N, k), the columns of `recipe`; NaN and what is far beyond any mission become NaT."""
     how = COUNTED[recipe.recipe]
     parts = raw - _JD_OF_ORIGIN if recipe.recipe == "jd" else raw
-    scale = recipe.scale or how.scale
+    scale, units_s = recipe.scale or how.scale, tuple(recipe.unit_s or how.units_s)
     if how.origin is not None:
-        return epoch.utc_of(_added(how.origin, parts, how.units_s), scale)
+        return epoch.utc_of(_added(how.origin, parts, units_s), scale)
     origin = epoch.parse_time(str(recipe.epoch), where="column map: epoch")
     if scale != "UTC":
-        return epoch.utc_of(_added(origin, parts, how.units_s), scale)
+        return epoch.utc_of(_added(origin, parts, units_s), scale)
     in_tai = epoch.stamp_in(origin, "TAI")[0]  # SI seconds since a UTC instant, leap seconds counted
-    return epoch.utc_of(_added(in_tai, parts, how.units_s), "TAI")
+    return epoch.utc_of(_added(in_tai, parts, units_s), "TAI")
 
 
 def _added(origin: np.datetime64, parts: FloatArray, units_s: tuple[float, ...]) -> TimeArray:
@@ -87,6 +87,9 @@ def _added(origin: np.datetime64, parts: FloatArray, units_s: tuple[float, ...])
     total = np.zeros(len(parts), dtype=np.int64)
     for column, unit in zip(np.where(good[:, None], parts, 0.0).T, units_s, strict=True):
         per_second = round(1.0 / unit) if unit < 1.0 else 1
+        if unit < 1.0 and abs(per_second * unit - 1.0) > 1e-12:  # as 0.3: no whole number of them is a second
+            total += np.rint(column * (unit * 1e9)).astype(np.int64)
+            continue
         whole = np.floor(column / per_second)
         rest = column - whole * per_second
         total += whole.astype(np.int64) * round(unit * per_second * 1e9)

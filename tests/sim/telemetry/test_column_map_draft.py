@@ -75,6 +75,13 @@ HEADERS = {
         **triple("VX_kms VY_kms VZ_kms", V),
         **triple("Q0 Q1 Q2 Q3", Q[:, [3, 0, 1, 2]]),
     },
+    "GPS week and milliseconds of a receiver": {
+        "week": np.floor(GPS / 604800.0),
+        "iTOW_ms": GPS % 604800.0 * 1e3,
+        **triple("mag_x_nT mag_y_nT mag_z_nT", MAG),
+        **triple("pos_j2000_x pos_j2000_y pos_j2000_z", R),
+        **triple("q_x q_y q_z q_w", Q),
+    },
     "small letters, seconds and nanoseconds, what is no reading first": {
         "sec": np.floor(UNIX),
         "nsec": (UNIX % 1.0) * 1e9,

@@ -94,6 +94,33 @@ def test_unix_time_and_days_count_no_leap_seconds(tmp_path: Path, name: str) -> 
     assert np.abs(found - STAMPS).max() <= NANOSECOND * limit
 
 
+DAYS = (STAMPS - np.datetime64("1958-01-01")).astype("int64")
+UNITS = {
+    "weeks and milliseconds": (
+        'recipe = "gps_week_tow" BOTH, unit_s = [604800, 0.001]',
+        [int(x // 604800.0) for x in WITNESS.gps],
+        [repr(float(x % 604800.0) * 1e3) for x in WITNESS.gps],
+    ),
+    "days since 1958 and milliseconds": (
+        'recipe = "mjd" BOTH, unit_s = [86400, 0.001], offset_s = 3128025600',
+        [n // (86400 * 10**9) for n in DAYS],
+        [repr(float(n % (86400 * 10**9) / 1e6)) for n in DAYS],
+    ),
+    "ticks of three tenths": (
+        'recipe = "seconds_since", epoch = "1998-01-01", scale = "TT", unit_s = [0.3]',
+        [repr(float(x) / 0.3) for x in WITNESS.cxcsec],
+        [0] * STAMPS.size,
+    ),
+}
+
+
+@pytest.mark.parametrize("name", UNITS)
+def test_counters_of_other_units_against_astropy(tmp_path: Path, name: str) -> None:
+    recipe, first, second = UNITS[name]
+    worst = np.abs(read(tmp_path, recipe, first, second) - STAMPS).max()
+    assert worst <= MICROSECOND, f"{worst} off"  # doubles near 1e9 s: 0.2 us
+
+
 TEXTS = {
     "zones": ('recipe = "iso"', ["2026-03-01T02:00:00+02:00", "2026-02-28T19:00:01.5-0500", "2026-03-01 00:00:02 Z"], None),
     "two columns": ('recipe = "iso" BOTH', ["2026-03-01"] * 3, ["00:00:00Z", "00:00:01.5Z", "00:00:02Z"]),
@@ -162,6 +189,9 @@ def test_a_local_time_that_is_none_or_two_is_refused(tmp_path: Path, stamp: str,
         ('recipe = "unix_s", format = "%Y"', "format belongs to the recipe text"),
         ('recipe = "text", format = "%d.%m.%Y"', "row 1"),
         ('recipe = "seconds_ns"', "takes 2 columns"),
+        ('recipe = "unix_s", unit_s = [1, 1]', "takes 2 columns"),
+        ('recipe = "iso", unit_s = [1]', "a recipe that counts"),
+        ('recipe = "unix_s", unit_s = [0]', "a positive number"),
         ('recipe = "gps_s", zone = "+02:00"', "zone is for local times"),
         ('recipe = "iso", zone = "Europe/Atlantis"', "'Europe/Atlantis' is not known"),
         ('recipe = "text", format = "%Y %z", zone = "+02:00"', "zone is for local times"),

@@ -174,10 +174,11 @@ def check_clock(sample: Sample, model: FieldModel, origin: Origin) -> list[Findi
 
 def named_shift(shift_s: float, words: str, as_is_nT: float, mended_nT: float) -> str:
     """The sentence that names a shift."""
+    zone = ", or time.zone where they are local times" if words == "a time zone" else ""
     return (
         f"the stamps are {shift_words(shift_s)} too {'late' if shift_s > 0 else 'early'} ({words}): as they stand the "
         f"reading misses the model by {as_is_nT:.0f} nT rms after a fit, with {-shift_s:+.10g} s by {mended_nT:.0f} nT. "
-        f"Add it in a column map: time.offset_s = {-shift_s:.10g}"
+        f"Add it in a column map: time.offset_s = {-shift_s:.10g}{zone}"
     )
 
 

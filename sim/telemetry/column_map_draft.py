@@ -106,7 +106,9 @@ _SIZES = {
     "velocity": (("m/s", 300.0, 12e3), ("km/s", 0.3, 12.0)),
 }
 """Typical sizes of a vector by unit: a guess where the name says none."""
-_CURRENT = re.compile(r"curr|(?<!st)amp(s|ere)?(_|$)|^i_?(sa|bat|load|bus)|(^|_)i_|_i(_|$)|_m?a$|duty|pwm|heater|load")
+_CURRENT = re.compile(
+    r"curr|(?<!st)amp(s|ere)?(_|$)|^i_?(sa|bat|load|bus)|(^|_)i_|_i(_|$)|_m?a$|duty|pwm|heater|load|(^|_)on(_|$)|enabled"
+)
 _COUNTS = re.compile(r"cnt|count|adc|(^|_)raw(_|$)", re.IGNORECASE)
 _MOST_A = 30.0
 """More than a small spacecraft has in one wire: then it is in mA."""

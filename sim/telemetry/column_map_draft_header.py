@@ -13,7 +13,7 @@ from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.limits import MAX_SAMPLES
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.telemetry.column_map_values import from_lists
-from fluxtwin.sim.telemetry.csv_files import CsvFile, open_csv
+from fluxtwin.sim.telemetry.csv_files import TRUTHS, CsvFile, open_csv
 from fluxtwin.sim.telemetry.formats.catalogue import format_of, table_of
 from fluxtwin.sim.telemetry.formats.table import Table
 from fluxtwin.sim.telemetry.netcdf_files import NetcdfFile
@@ -76,7 +76,8 @@ def _look(csv: CsvFile, name: str, header: Header) -> None:
         header.iso.append(name)
         return
     try:
-        header.values[name] = np.array([float(cell) if cell.strip() else np.nan for cell in text.tolist()])
+        cells = [cell.decode("utf-8", "replace").strip().lower() for cell in text.tolist()]
+        header.values[name] = np.array([TRUTHS[cell] if cell in TRUTHS else float(cell or "nan") for cell in cells])
         return
     except ValueError:
         pass

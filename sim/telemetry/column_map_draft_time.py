@@ -148,7 +148,11 @@ def _text_format(texts: Mapping[str, Sequence[str]]) -> tuple[list[str], str, st
 def _doubt(found: Sequence[str]) -> str:
     """What the format leaves open."""
     rivals = f"; it could be {found[1]} as well" if len(found) > 1 else ""
-    zone = "" if "%z" in found[0] or found[0].endswith("Z") else ", taken as UTC"
+    zone = (
+        ""
+        if "%z" in found[0] or found[0].endswith("Z")
+        else ', taken as UTC (of local times: zone = "Europe/Berlin" or "+02:00")'
+    )
     return f"the format of the stamps{zone}{rivals}"
 
 

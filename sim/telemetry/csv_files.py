@@ -45,7 +45,7 @@ A column and not a comment, so that every reader takes the file, and rows may be
 _CHECKS = re.compile(r"row_crc32_v(\d{1,4})")
 _CRC_BYTES = len(",01234567")
 _MISSING = ["", "NaN", "nan", "NAN"]
-_TRUTHS = {"true": 1.0, "false": 0.0}
+TRUTHS = {"true": 1.0, "false": 0.0}
 """Words, in any case, of a column that holds nothing else."""
 _NUMBER = re.compile(r"\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*")
 _STAMP = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(\.(\d{3}){1,3})?Z")
@@ -104,9 +104,9 @@ class CsvFile:
 
     def _truths(self, name: str) -> FloatArray | None:
         """A column of true, false and blanks; None for any other."""
-        known = _TRUTHS | dict.fromkeys((one.lower() for one in _MISSING), np.nan)
+        known = TRUTHS | dict.fromkeys((one.lower() for one in _MISSING), np.nan)
         words = [bytes(cell).decode("utf-8", "replace").strip().lower() for cell in self.text(name).tolist()]
-        fits = known.keys() >= set(words) and not _TRUTHS.keys().isdisjoint(words)
+        fits = known.keys() >= set(words) and not TRUTHS.keys().isdisjoint(words)
         return np.array([known[word] for word in words]) if fits else None
 
     def _numbers_from_cells(self, name: str) -> FloatArray:

@@ -152,12 +152,14 @@ def test_numbers_about_a_quantity_are_not_the_quantity(tmp_path: Path) -> None:
 
 
 def test_a_column_that_says_which_rows_count_is_offered(tmp_path: Path) -> None:
-    columns = {**HEADERS["ISO, bracketed units, ECI"], "FIX VALID": (np.arange(200) > 3).astype(float)}
-    text = draft([table(tmp_path / "t.csv", columns)])
+    good, on = np.arange(200) > 3, np.arange(200) % 40 > 20
+    words = {"FIX VALID": np.where(good, "True", "False"), "TX_ON": np.where(on, "true", "false")}
+    text = draft([table(tmp_path / "t.csv", {**HEADERS["ISO, bracketed units, ECI"], **words})])
     (line,) = [line for line in text.splitlines() if "which rows count" in line]
     stated = line.partition("if those with 1: ")[2]
     (tmp_path / "map.toml").write_text(text.replace(line, stated))
-    assert len(read_telemetry(tmp_path / "t.csv", column_map=tmp_path / "map.toml")) == 196
+    found = read_telemetry(tmp_path / "t.csv", column_map=tmp_path / "map.toml")
+    assert len(found) == 196 and np.array_equal(found.drivers["tx_on"], on[good].astype(float))
 
 
 def test_a_second_magnetometer_is_left_out_with_the_line_that_takes_it_in(tmp_path: Path) -> None:

@@ -95,9 +95,10 @@ def orientations(sample: Sample, origin: Origin) -> list[Hypothesis]:
 def _hypothesis(convention: _Convention, mounting: _Mounting, field_nT: FloatArray) -> Hypothesis:
     things = convention.things + bool(mounting.words)
     code = "attitude_convention" if convention.words else "magnetometer_axes" if mounting.words else ""
-    advice = (
-        "state it in a column map (order, sense, relative_to)" if convention.words else "turn the columns accordingly"
-    )
+    rows = (", ".join(f"{value + 0.0:.4g}" for value in np.round(row, 4)) for row in mounting.matrix.T)
+    turned = f"matrix = [{', '.join(f'[{row}]' for row in rows)}] for `mag` turns the columns in a column map"
+    stated = "state it in a column map (order, sense, relative_to)"
+    advice = "; ".join([stated] * bool(convention.words) + [turned] * bool(mounting.words))
     return Hypothesis(
         code,
         " and ".join(part for part in (convention.words, mounting.words) if part),

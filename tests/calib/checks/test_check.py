@@ -514,3 +514,27 @@ def test_local_axes_that_fit_alike_are_both_named_with_what_settles_it(truth: st
         named = [name for name in ("(NEC)", "(NED)") if name in found.text]
         assert named == (["(NEC)", "(NED)"] if alike else [f"({truth})"]), found.text
         assert ("both are possible. What settles it: the documentation" in found.text) == alike
+
+
+@pytest.mark.parametrize("kind", ["quarter", "eighth", "mirrored"])
+def test_the_matrix_that_is_advised_puts_the_axes_right(kind: str, model: FieldModel, tmp_path: Path) -> None:
+    """The line goes into a column map as it stands."""
+    record = good(model, mode="tumble")
+    turn = {"quarter": 90.0, "eighth": 45.0, "mirrored": 0.0}[kind]
+    matrix = Rotation.from_euler("z", turn, degrees=True).as_matrix() @ np.diag(
+        [1.0, 1.0, 1.0 - 2.0 * (kind == "mirrored")]
+    )
+    path = write_telemetry(record.replace(mag_B_nT=np.array(record.mag_B_nT) @ matrix.T), tmp_path / "t.csv")
+    (found,) = check_file(path, model).traps
+    assert found.code == "magnetometer_axes"
+    line = found.text[found.text.index("matrix = ") :].partition(" for `mag`")[0]
+    vectors = {"mag": ("mag_{}_nT", "nT"), "position": ("r_{}_km", "km"), "velocity": ("v_{}_km_s", "km/s")}
+    rows = [
+        f'{name} = {{ from = {json.dumps([of.format(axis) for axis in "xyz"])}, unit = "{unit}", '
+        + (f"{line} }}" if name == "mag" else 'frame = "GCRS" }')
+        for name, (of, unit) in vectors.items()
+    ]
+    rows.append('attitude = { from = ["q_x", "q_y", "q_z", "q_w"], order = "xyzw", relative_to = "GCRS" }')
+    text = "\n".join(['[[file]]\ntime = { recipe = "iso", columns = "time" }\n[file.columns]', *rows, ""])
+    (tmp_path / "m.toml").write_text(text, encoding="utf-8")
+    assert check_file(path, model, column_map=tmp_path / "m.toml").traps == ()

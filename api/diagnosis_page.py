@@ -239,7 +239,7 @@ def _law(diagnosis: Diagnosis) -> list[PageSection]:
     law = diagnosis.law
     if law is None:
         return []
-    title = "The law of what the catalogue does not explain"
+    title = "A law for what the catalogue does not explain"
     if not law.terms:
         return [PageSection(title, [law.sentence], [looked_at_table(law)] if law.looked_at else [])]
     from fluxtwin.plots.gap import draw_law
@@ -452,7 +452,11 @@ def small_table(diagnosis: Diagnosis) -> Table:
     named = {effect.name for effect in diagnosis.effects}
     words = diagnosis.would_settle
     rows = [[name, words[name]] for name in diagnosis.minimum_detectable if name in words and name not in named]
-    note = "" if PLAN in where_lines(diagnosis) else PLAN
+    note = (
+        ""
+        if PLAN in where_lines(diagnosis)
+        else "To see them, run fluxtwin plan on the same file: it proposes what to fly."
+    )
     return Table("Not detectable at typical size", ["effect", "what would show it"], rows, note)
 
 

@@ -46,7 +46,7 @@ def fleet(
     from fluxtwin.gap.fleet import fleet as together
 
     if len(vehicles) < 3:
-        wanted = "three or more: of two, neither is the odd one"
+        wanted = "three or more: with two, nothing says which one differs"
         raise BadInput(f"{len(vehicles)} vehicles", where="fleet", wanted=wanted)
     options = {"scenario": scenario, "modelled": tuple(modelled), **assumed}
     found = diagnoses(vehicles, options, jobs=jobs, scheduler=scheduler, executor=executor, progress=progress)

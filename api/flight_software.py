@@ -79,8 +79,8 @@ def calibrate_undone(
     left = composed(fit.calibration, before)
     b = ", ".join(plain(float(x)) for x in left.b_nT)
     said = (
-        f"the calibration on board ({before.name}) was undone: S, b and T act on the sensor's own readings, as fluxtwin "
-        f"export writes them. Of the readings as they came down it had left b = ({b}) nT and elements of S up to "
+        f"the calibration on board ({before.name}) was undone: S, b and T act on the sensor's own readings, and so "
+        f"fluxtwin export writes them. The readings as they came down still had b = ({b}) nT and elements of S up to "
         f"{plain(float(abs(left.S).max()), 2)}"
     )
     seen = [found.text for one in records for found in check_calibrated(one, model, one.has_reading, before)]

@@ -157,8 +157,8 @@ class _Rows:
                 return new_rounding(whole)
         raise NoAnswer(
             f"the stream ended after {self._count} rows: watching starts after {FIRST_ROWS} rows with reading and "
-            f"position, over at least {FIRST_S / 60:.0f} minutes, from which the noise is estimated; diagnose without "
-            "--follow uses what there is",
+            f"position, over at least {FIRST_S / 60:.0f} minutes, from which "
+            "the noise is estimated; diagnose without --follow needs fewer",
             evidence={"rows": self._count, "needed": FIRST_ROWS},
         )
 

@@ -68,9 +68,9 @@ def plan_table(plan: Plan | CalibrationPlan) -> Table:
         "What to fly",
         ["open question", "manoeuvre", "hours [h]", "power [%]"],
         rows,
-        "With several names the question is which one it is; with one name, whether it is present at its typical size. "
-        "Power: probability that a diagnosis of the manoeuvre, with the noise of this record, gives the right answer "
-        "(for the least likely one if there are several).",
+        "With several names the question is which of them it is; with one name, whether it is present at its typical size. "
+        "Power: probability that a diagnosis of the manoeuvre, with the noise of this record, gives the right answer (the "
+        "lowest, if there are several names).",
     )
 
 

@@ -126,7 +126,7 @@ def _attitude(found: AttitudeSolution) -> Presented:
     nis = ", ".join(f"{sensor} {plain(value)}" for sensor, value in found.nis.items())
     sentences = [
         f"{head}. 1 sigma about body x, y, z: {degrees(True)} with the {found.aid}, {degrees(False)} without.",
-        f"Followed: {found.source} and the calibrated field{aside}.",
+        f"Used: {found.source} and the calibrated field{aside}.",
         *found.reasons,
         f"Squared innovations over what was predicted (1 is right): {nis}; correlation of the field's from row to row "
         f"{found.lag_correlation:.2f}.",

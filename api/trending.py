@@ -96,9 +96,9 @@ def trend_table(found: Trend) -> Table:
         rows.append([one.name, mean, one.unit, f"{one.q:.1f}", probability, one.kind, size])
     freedom = len(found.time) - 1
     note = (
-        f"Q: Cochran's statistic with {freedom} degree{'s' if freedom > 1 else ''} of freedom. Probability: of so large a Q "
-        "if nothing changed. A history other than constant is given only where it is significant at 1 % for all parameters "
-        "together, corrected for all histories that were tried."
+        f"Q: Cochran's statistic with {freedom} degree{'s' if freedom > 1 else ''} of freedom. Probability: that Q is "
+        "as large if nothing changed. A history other than constant is given only where it is significant at 1 % for all "
+        "parameters together, corrected for all histories that were tried."
     )
     columns = ["parameter", "mean", "unit", "Q", "probability", "history", "size"]
     return Table("Parameters over the calibrations", columns, rows, note)

@@ -165,7 +165,7 @@ def _is_worse(one: FloatArray, best: FloatArray, stretch: np.ndarray, kept: Bool
 def _why(chosen: str, order: list[str], alike: list[str]) -> str:
     others = [name for name in alike if name != chosen]
     worse = [name for name in order if name not in alike]
-    said = f"Take {chosen}: no method errs less beyond chance"
+    said = f"Take {chosen}: no other method has a significantly smaller error"
     if others:
         said += f"; {listed(others)} may be as good, but {chosen} is better tested"
-    return said + (f". Worse by more than chance, in the vector or in |B|: {', '.join(worse)}" if worse else "")
+    return said + (f". Significantly worse, in the vector or in |B|: {', '.join(worse)}" if worse else "")

@@ -124,7 +124,9 @@ class Trend(Shown):
         changed = [one for one in self.histories if one.kind != "constant"]
         said = [f"Does not hold: the calibrations differ by more than their sigmas ({q}).", *map(self._words, changed)]
         if not changed:
-            said.append("No single parameter is seen to have changed: many did a little, or the sigmas are too small.")
+            said.append(
+                "No single parameter has changed significantly: many did a little, or the sigmas are too small."
+            )
         agrees = self.last_probability >= FALSE_ALARM
         verdict = "agrees with" if agrees else "differs from"
         said.append(

@@ -330,7 +330,7 @@ def _require_rows(problem: Problem) -> None:
     whole = int(problem.measured.sum()) // 3  # rows of three components that are worth as many as are compared
     if whole < wanted:
         plain = problem.axes is None
-        each = "" if plain else f", where three without attitude count as one ({problem.rows} rows in all)"
+        each = "" if plain else f" ({problem.rows} rows in all; three without attitude count as one)"
         raise NoAnswer(
             f"the record is too short: it has {whole} rows with reading, position and attitude{each}; "
             f"at least {wanted} are needed to tell a gap from {problem.nuisance.shape[2]} parameters that are re-estimated",

@@ -127,7 +127,9 @@ def fleet(vehicles: Sequence[str], diagnoses: Sequence[Diagnosis]) -> Fleet:
     """What the diagnoses of V vehicles of one design say together. Raises BadInput for fewer than three."""
     if len(diagnoses) < 3:
         raise BadInput(
-            f"{len(diagnoses)} vehicles", where="fleet", wanted="three or more: of two, neither is the odd one"
+            f"{len(diagnoses)} vehicles",
+            where="fleet",
+            wanted="three or more: with two, nothing says which one differs",
         )
     named = [{name for found in one.effects for name in found.group} for one in diagnoses]
     widely = {name for names in named for name in names if 2 * sum(name in other for other in named) >= len(named)}

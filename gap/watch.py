@@ -237,8 +237,8 @@ def begin(
     budget = budget or Budget()
     if not enough(first):
         raise NoAnswer(
-            f"the record ends after {len(first)} rows: {FIRST_ROWS} with reading and position over {FIRST_S:.0f} s at least "
-            "give the noise before one can watch for a change",
+            f"the record ends after {len(first)} rows: to watch for a change, at least {FIRST_ROWS} with reading and "
+            f"position over {FIRST_S:.0f} s are needed first, to estimate the noise",
             evidence={"rows": len(first), "needed": FIRST_ROWS},
         )
     corrected = first
@@ -246,9 +246,9 @@ def begin(
         late = [name for name, bias in calibration.telemetry_bias.items() if bias.delay_s or bias.lag_s]
         if late:
             raise BadInput(
-                f"its field that follows {', '.join(late)} comes late, and rows are taken one by one, without those before",
+                f"its field that follows {', '.join(late)} is delayed and needs earlier rows, but rows are taken one by one",
                 where="--calibration",
-                wanted="a calibration without late fields, or a diagnosis without --follow",
+                wanted="a calibration without delayed fields, or a diagnosis without --follow",
             )
         # How long ago it was made is no matter: whether it still holds is the question.
         calibration = for_record(replace(calibration, span=None), first)

@@ -104,7 +104,7 @@ def _require_together(
     from fluxtwin.sim.base.errors import BadInput
 
     if follow and (scenario is not None or close is not None):
-        wanted = "no --scenario or --close beside it: --calibration, and the errors by their flags"
+        wanted = "--follow without --scenario and --close: give --calibration, and the errors by their own options"
         raise BadInput("knows S and b, and no other effects", where="--follow", wanted=wanted)
     if calibration is not None and not follow:
         raise BadInput("is for --follow", where="--calibration", wanted="fluxtwin apply first, or --follow")

@@ -41,7 +41,7 @@ def known_calibration(path: Path, record: Telemetry, output: Output) -> Calibrat
 
     known = Calibration.from_toml(path)
     if output.force and (refusal := waived(record, known)) is not None:
-        output.note(f"note: applied all the same, by --force: {refusal}")
+        output.note(f"note: applied anyway, by --force: {refusal}")
     return known
 
 

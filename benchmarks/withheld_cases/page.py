@@ -20,8 +20,9 @@ The records come from forward models that share no code with the effects of the 
 sealed before the diagnosis runs. The worlds have orbits of 600 to 1200 km; nadir pointing, tumble, slews and spin;
 row spacings of 0.1 to 60 s; lengths from one orbit to two days; with or without housekeeping; and always a
 calibration error. "Visible" is what an effect leaves after the best re-estimation of `bias` and
-`scale_misalignment`, rms per component, divided by the rms of the noise. `benchmarks/withheld.py` and
-`benchmarks/withheld_cases/` make and score the records.
+`scale_misalignment`, rms per component, divided by the rms of the noise. Effects "with a Jacobian" are those whose
+signature follows from the flight; of those "known by distribution" (noise, steps, walks, bits, ...) only the statistics
+do. `benchmarks/withheld.py` and `benchmarks/withheld_cases/` make and score the records.
 """
 _DETAILS = """# Withheld effects, case by case
 
@@ -93,16 +94,16 @@ def _contents(cases: Sequence[Judged]) -> str:
     own = [case for case in cases if case.population != "sensed"]
     pointing = [case for case in own if case.sealed["regime"] == "nadir"]
     words.append(
-        f"{sum(map(beside.has_channel, pointing))} of {len(pointing)} records that point to the Earth have sun and nadir "
-        "in them as their sensors measure them, with noise, rounding and faults of their own."
+        f"{sum(map(beside.has_channel, pointing))} of {len(pointing)} records that point to the Earth contain sun and "
+        "nadir as measured, with noise, rounding and faults of their own."
     )
     if len(own) < len(cases):
         words.append("The population `sensed` has each record twice, with these two vectors and without.")
     if any(case.population.startswith("torque") for case in cases):
         words.append(
-            "In the populations of torques the diagnosis is also given a scenario of the vehicle (inertia, wheels, "
-            "torquers, gravity gradient), and visible is what a torque turns the body by within 25 minutes, less what "
-            "another start of the window makes, over the sigma of the attitude."
+            "For torques the diagnosis is also given a scenario of the vehicle (inertia, wheels, torquers, gravity "
+            'gradient), and "visible" is the rotation that the torque causes within 25 minutes beyond what another '
+            "initial state could cause, divided by the sigma of the attitude."
         )
     words += [text for name, text in _BESIDE.items() if any(case.population == name for case in cases)]
     return "\n".join(f"- {one}" for one in words)

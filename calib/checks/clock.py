@@ -186,7 +186,7 @@ def _ambiguous(close: list[float]) -> str:
     if not close:
         return ""
     listed = " or ".join(shift_words(shift) if shift else "none" for shift in close[:4])
-    return f". The record does not tell this from {listed}"
+    return f". This record cannot distinguish it from {listed}"
 
 
 def _evidence(sample: Sample, fields: list[FloatArray]) -> Evidence:
@@ -220,7 +220,7 @@ def _what_shows(shows: dict[float, bool], shifts: dict[float, str], plain: Itera
     elif origin.position == "ITRS":
         meant = "Earth-fixed positions are kept"
     else:
-        meant = "positions relative to GCRS are kept while the Earth turns under them"
+        meant = "positions relative to GCRS stay the same while the Earth turns under them"
     said: dict[bool, list[str]] = {True: [], False: []}
     for shift, words in ((s, shifts[s]) for s in sorted(shifts) if 1.0 < s < 1800.0 or s in (3600.0, 86400.0)):
         seen = shows.get(shift, False) and shows.get(-shift, False)
@@ -232,8 +232,8 @@ def _what_shows(shows: dict[float, bool], shifts: dict[float, str], plain: Itera
     hidden = [abs(shift) for shift in plain if not shows.get(shift, False)]
     greatest = max(map(abs, plain))
     apart = shift_words(min(map(abs, plain)))
-    showing = f"those of more than {shift_words(max(hidden))}" if hidden else f"all that were tried, {apart} apart,"
-    words = f". Of the other shifts up to {shift_words(greatest)}, {showing} would show"
+    tried = f". The other shifts that were tried, up to {shift_words(greatest)} and {apart} apart, would "
+    words = f"{tried}show if they were longer than {shift_words(max(hidden))}" if hidden else f"{tried}all show"
     words = "" if hidden and max(hidden) >= min(3600.0, greatest) else words
     shown = "; ".join(listed)
     return note("clock_tested", meant=meant, shifts=f"{shown[:1].upper()}{shown[1:]}", others=words)

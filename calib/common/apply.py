@@ -52,13 +52,13 @@ def require_applicable(telemetry: Telemetry, calibration: Calibration) -> None:
         wanted = "the record as the sensor gave it; --force corrects them once more"
     elif of_before and not before:
         found = f"the calibration was made of readings that {of_before} had corrected; these are not corrected"
-        wanted = "that calibration applied first; --force applies this one all the same"
+        wanted = "that calibration applied first; --force applies this one anyway"
     elif ours and theirs and ours != theirs:
         found = f"the telemetry is of {ours!r}, the calibration of {theirs!r}"
-        wanted = "telemetry and calibration of one spacecraft; --force applies it all the same"
+        wanted = "telemetry and calibration of one spacecraft; --force applies it anyway"
     elif (one := calibration.magnetometer) != telemetry.magnetometer:
         found = f"the readings are of magnetometer {telemetry.magnetometer}, the calibration is of {one}"
-        wanted = f"--magnetometer {one}, or the other calibration; --force applies it all the same"
+        wanted = f"--magnetometer {one}, or the other calibration; --force applies it anyway"
     elif calibration.span is not None and _too_far(telemetry, calibration.span):
         begins, ends = telemetry.time[[0, -1]]
         found = (
@@ -66,8 +66,8 @@ def require_applicable(telemetry: Telemetry, calibration: Calibration) -> None:
             f"{_span_words(calibration)}"
         )
         wanted = (
-            "a calibration whose time the record shares, and leaves by no more than the calibration's own length; "
-            "--force applies it all the same"
+            "a calibration whose time overlaps that of the record, which may extend beyond it by no more than the "
+            "calibration's own length; --force applies it anyway"
         )
     if found:
         raise BadInput(found, where=telemetry.provenance.get("source", "telemetry"), wanted=wanted)

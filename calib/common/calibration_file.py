@@ -184,7 +184,9 @@ def calibration_text(calibration: Calibration) -> str:
         lines.append(f"{name} = {{ {inside} }}" + ("" if "sigma" in entry else "  # not estimated"))
     lines += ["", "[source]", tomli_w.dumps(content["source"]).strip(), f'{_SHA} = "{digest}"', ""]
     if "telemetry_bias" in content:
-        lines += ["# Fields in the reading that follow a column: taken out before S, b and T act. nT for a unit of it."]
+        lines += [
+            "# Fields that follow a column, in nT per unit of it: subtracted from the reading before S, b and T act."
+        ]
         lines += [tomli_w.dumps({"telemetry_bias": content["telemetry_bias"]})]
     if "onboard" in content:
         lines += [

@@ -133,14 +133,14 @@ def fitted(asked: Asked, rows: np.ndarray, others: FloatArray, fit: Callable[[Co
     final = _with_lateness(final, found, again) if found else final
     if not asked.every:
         unseen = [name for name in apart if name not in kept]
-        said = f"no field of {' or '.join(unseen)} is seen beyond chance: compare without"
+        said = f"no field of {' or '.join(unseen)} is significant: compare without it"
         return replace(final, messages=(*final.messages, said)) if unseen else final
     dropped = [f"{name} ({plain(value)})" for name, value in worths.items() if name not in kept]
     said = f"kept of {len(apart)} columns: {', '.join(kept) or 'none'}"
     if dropped:
         said += (
-            f". Dropped, because what they explain (in chi-square, less what {len(apart)} columns would by chance; "
-            f"{THRESHOLD:g} are wanted) is too little: {', '.join(dropped)}"
+            f". Dropped, because they lower chi-square by too little (below: by how much, less what {len(apart)} columns "
+            f"would by chance; {THRESHOLD:g} are needed): {', '.join(dropped)}"
         )
     reasons = {**asked.left_out, **same}
     more = [f"{name} was not tried: {why}" for name, why in reasons.items()]

@@ -157,7 +157,7 @@ def _refuse(v: FloatArray, fired: np.ndarray, moves_nT: float, relative: float, 
         )
         if within_noise:
             text += (
-                ", or, where the reference varies, direction forward (--method forward), which its noise leaves right"
+                ", or, if the reference field varies, --method forward, which the noise of the reading does not bias"
             )
     raise NoAnswer(
         text,

@@ -35,7 +35,7 @@ def onboard_of(calibration: Calibration, name: str) -> Onboard:
     T = calibration.T_nT_per_Am2
     if (T is not None and T.any()) or calibration.telemetry_bias:
         raise BadInput(
-            "the calibration on board takes out torquers or a column, and is undone only from offset and matrix",
+            "the calibration on board also corrects for torquers or a column; only offset and matrix can be undone",
             where=name,
             wanted="a calibration of offset and matrix alone",
         )

@@ -187,7 +187,7 @@ class Calibration(Shown):
         for name, bias in self.telemetry_bias.items():
             if name not in columns:
                 raise BadInput(
-                    f"this calibration takes out a field that follows {name!r}, and the column is not there",
+                    f"this calibration subtracts a field that follows {name!r}, and the telemetry lacks the column",
                     where=name,
                     wanted="telemetry with that column, or a calibration made without its --driver",
                 )

@@ -40,7 +40,7 @@ class LinearOptions(of.Options):
         super().__post_init__()
         if self.errors_in_variables and self.method == "forward":
             raise BadInput(
-                "the correction for noise in the reading has no place in the forward direction",
+                "method forward needs no correction for noise in the reading",
                 where="errors_in_variables",
                 wanted="method linear, or the correction off",
             )

@@ -99,7 +99,7 @@ def export_calibration(calibration: Calibration, to: str, *, instance: int = 1, 
             "of the sensor"
         )
     if refused and not force:
-        raise BadInput("; ".join(refused), where=f"--to {to}", wanted="another target; --force writes it all the same")
+        raise BadInput("; ".join(refused), where=f"--to {to}", wanted="another target; --force writes it anyway")
     numbers = target.numbers(formed, instance)
     text = target.lay_out(numbers, _heading(calibration, target.says(formed)), instance)
     held = target.read(text, instance, to)

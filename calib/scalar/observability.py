@@ -178,7 +178,7 @@ def require_meaning(
 def _why_meaningless(how: Geometry, outlying: int, rows: int, mixture: str) -> str:
     if how.words():
         return (
-            f"{how.words()}. There errors of the model pass for signal; least determined is {mixture}. Add attitudes in "
+            f"{how.words()}. There errors of the model look like signal; least determined is {mixture}. Add attitudes in "
             "which the field leaves the plane, or give the attitude (--method linear)"
         )
     if outlying:

@@ -311,7 +311,7 @@ def _regress(
         filtered = spin_filter(rows, used.apply(rows.B_nT), *at(motion, begin), ratio, near)
         if not filtered.field_nis < _MISFIT**2:
             raise NoAnswer(
-                f"regression and filter in turn run away: squared innovations {filtered.field_nis:.3g} times the noise; "
+                f"regression and filter, in turn, diverge: squared innovations {filtered.field_nis:.3g} times the noise; "
                 "--method batch solves for both at once",
                 evidence={"passes": count, "nis": min(filtered.field_nis, 1e300)},
             )

@@ -70,8 +70,8 @@ def blind_start(rows: SpinRows, noise: Noise, G: FloatArray, o_nT: FloatArray) -
         worst = said
     raise NoAnswer(
         f"no free motion of an axisymmetric body about z fits these readings and sun pulses ({worst}). Torques or "
-        "thrust, a symmetry axis that is not body z, wrong time, orbit or field model, or a sun that is not the sun "
-        "may be the reason; cut the record to a quiet stretch",
+        "thrust, a symmetry axis that is not body z, wrong time, orbit or field model, or wrong sun vectors may be the "
+        "reason; cut the record to a quiet stretch",
         evidence={"candidates": tried, "spin_rad_s": spin},
     )
 

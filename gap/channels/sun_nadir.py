@@ -137,7 +137,7 @@ class SunNadir:
         return (
             f"sun and nadir disagree by {self.rms_deg:.2f} deg; {self.named.words} explains "
             f"{100 * self.named.explained:.0f} % of its square (p = {self.named.p_value:.1g}){others}: an "
-            "attitude sensor is at fault, or the position along the orbit; of the magnetometer the angle says nothing"
+            "attitude sensor is at fault, or the position along the orbit; the angle says nothing about the magnetometer"
         )
 
     def to_dict(self) -> dict[str, Any]:

@@ -201,7 +201,7 @@ def _with_frozen(frozen: Mapping[str, Active], effect: Effect, theta: FloatArray
     had, amount = frozen[effect.name]
     if had != effect:
         raise BadInput(
-            f"the scenario has [effects.{effect.name}] with other settings than what was found in addition to it",
+            f"the scenario has [effects.{effect.name}] with other settings than the effect that was found in addition",
             where="--close",
             wanted="a scenario without that effect",
         )

@@ -65,7 +65,7 @@ def transfers(closure: Closure, effects: Sequence[tuple[SignalEffect, FloatArray
             if why is not None:
                 rows.append(Transfer(effect.name, name, False, None, None, design.floor_nT, None, why))
             elif lost is not None:
-                lost = f"it does not act there: {lost}"
+                lost = f"it has no effect there ({lost})"
                 rows.append(Transfer(effect.name, name, True, 0.0, 0.0, design.floor_nT, None, lost))
             else:
                 rows.append(_one(closure.tested, design, effect, theta, covariance, others))
@@ -130,7 +130,7 @@ def _one(
         wrong_name = wrong_name or (other.label if added > MOST_CHANCE / 2 else "")
     unsure_nT = float(np.sqrt(unsure2))
     detectable = unsure_nT * float(np.sqrt(rule.noncentrality / energy)) if energy > _ABSORBED else None
-    why = f"it may as well be {wrong_name} in these data, which differs there"
+    why = f"it may as well be {wrong_name} in these data, and that would differ there"
     why = why if wrong_name else "the error of its parameters would show there"
     good = chance <= MOST_CHANCE
     sizes = (chance, unsure_nT, design.floor_nT, detectable)

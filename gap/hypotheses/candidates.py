@@ -22,8 +22,8 @@ from fluxtwin.sim.effects.chain import Active, Chain, jacobian
 from fluxtwin.sim.effects.digits import BitErrors
 
 OF_ERRORS = (
-    "its signature, beyond the calibration, comes mostly from errors of the reference attitude: "
-    "the body would have to turn further"
+    "what the calibration cannot imitate of its signature comes mostly from errors of the reference attitude: the body "
+    "would have to turn further"
 )
 _DEAD_NT = 1e-6  # a parameter of its typical size that moves the readings by less is not there
 

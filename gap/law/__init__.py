@@ -1,1 +1,1 @@
-"""The law of what the catalogue does not explain: sparse regression on recorded columns and geometry."""
+"""A law for what the catalogue does not explain: sparse regression on recorded columns and geometry."""

@@ -1,4 +1,4 @@
-"""The law of what the catalogue does not explain: searched, refitted in the nonlinear chain, and held against what it has
+"""A law for what the catalogue does not explain: searched, refitted in the nonlinear chain, and held against what it has
 not seen.
 
 It is kept where its coefficients are those of every part of the record (Chow 1960), and where it closes most of what is
@@ -144,9 +144,7 @@ class _Search:
             choice, whitener = again, whitener_of(self.problem, again.noise, again.robust.weights)
             fit, alike = self._fitted(whitener)
         if fit is None:
-            return Lawful(
-                self._none(whitener, "no term lowers chi-square by more than the number tried would by chance")
-            )
+            return Lawful(self._none(whitener, "no term lowers chi-square by more than so many terms would by chance"))
         return self._lawful(fit, choice, whitener, alike)
 
     def _fitted(self, whitener: Whitener) -> tuple[Fit | None, list[LawEffect]]:

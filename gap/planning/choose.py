@@ -89,7 +89,7 @@ def _answers(question: Open, view: Flown, rows: int) -> list[Answer]:
     found = []
     for cause in question.causes:
         if cause.effect.bound is not None:
-            found.append(Answer(cause.name, 1.0 - GATE, f"if nothing is named, it was {cause.name}, which is over"))
+            found.append(Answer(cause.name, 1.0 - GATE, f"if nothing is named, it was {cause.name}, which has ended"))
             continue
         power = view.distinguishing(cause, question.names, rows)
         others = " and ".join(other.name for other in question.causes if other is not cause)

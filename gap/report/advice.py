@@ -44,7 +44,7 @@ def would_settle(detectable: Mapping[str, Detectable], untestable: Mapping[str, 
         needed = hours_needed(found, wanted, hours)
         data = "more than two weeks of such data"
         if needed <= MOST_HOURS:
-            data = f"about {_plain(needed)} h of such data in place of {_plain(hours)} h"
+            data = f"about {_plain(needed)} h of such data instead of {_plain(hours)} h"
         advice[name] = f"for {found.parameter} {abs(wanted):.3g}{unit}: {data}, or {settled_by[name]}"
     return advice | {name: settled_by[name] for name in untestable if name in settled_by}
 

@@ -155,9 +155,9 @@ def _not_measured(effects: Sequence[FoundEffect], gap: Shrinkage) -> str:
     # What is known by its own shape, as a line is, has no size beside the fit.
     small = f"its signal is {signal_nT:.1f} nT rms, and " if signal_nT > 0.0 else ""
     return (
-        f"; the probability that this is chance is {chance}, but {small}the held-out samples have {gap.before_nT:.1f} nT "
-        f"rms where {gap.floor_nT:.1f} nT are expected without it: by chance they may differ as much, so they do not show "
-        "what share of the gap it closes; more data of the same kind would allow that"
+        f"; the probability that this is chance is {chance}, but the share of the gap that it closes cannot be measured: "
+        f"{small}the held-out samples have {gap.before_nT:.1f} nT rms where {gap.floor_nT:.1f} nT are expected without it, "
+        "a difference that may be chance; more data of the same kind would measure it"
     )
 
 

@@ -75,7 +75,7 @@ def write_toml(path: Path | str, text: str, *, comment: str = "#", draft: bool =
         content = sealed(text, comment, "to be edited" if draft else f"format {FORMAT}").encode("utf-8")
     except UnicodeEncodeError:
         raise BadInput(
-            "a name in it is not UTF-8, and TOML knows nothing else", where=str(path), wanted="files with UTF-8 names"
+            "a name in it is not UTF-8, which TOML requires", where=str(path), wanted="files with UTF-8 names"
         ) from None
     return write_bytes(path, content)
 

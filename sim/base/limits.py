@@ -146,7 +146,7 @@ def _of_pipe(handle: int, where: str) -> Iterator[bytes]:
             return
         elif time.monotonic() > patience:
             raise BadInput(
-                f"is a pipe into which nobody has written for {_PATIENCE_S:g} s", where=where, wanted="a file"
+                f"is a pipe to which nothing was written for {_PATIENCE_S:g} s", where=where, wanted="a file"
             )
         else:
             time.sleep(0.02)

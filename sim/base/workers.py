@@ -72,7 +72,7 @@ def by_executor(executor: Executor, function: Callable[..., Any], calls: Sequenc
     except BrokenProcessPool:
         stop_if_asked()
         raise BadInput(
-            "a process ended before its part was done (what it said stands above)",
+            "a process ended before its part was done (its output is above)",
             where="--jobs",
             wanted="fewer --jobs where memory is short; --resume goes on with what is there",
         ) from None

@@ -139,8 +139,8 @@ class TleSeries:
         span = f"{age.min():.1f} to {age.max():.1f}" if age.max() - age.min() >= 0.05 else f"{age.max():.1f}"
         error = f"{low:.0f} to {high:.0f}" if round(low) != round(high) else f"{high:.0f}"
         said = [
-            f"the elements are {span} days from their epochs: expect them {error} km off along the track (1 sigma, in low"
-            " orbit), some 10 nT for each km; the effect along_track_error of the diagnosis is this"
+            f"the elements are {span} days from their epochs: positions may be {error} km off along the track (1 sigma, in "
+            "low orbit), and each km changes the field by some 10 nT; diagnose tests for this as along_track_error"
         ]
         nearest = self._nearest(stamps)
         for number in np.unique(nearest):

@@ -150,7 +150,7 @@ class RingCurrent(SignalEffect):
         "is 1.27 times the parameter; constant, or decaying from the first stamp (Burton et al. 1975: 7.7 h)"
     )
     parameters = (Parameter("external", "nT", 50.0, -2000.0, 2000.0),)
-    bound = "the ring current of these hours is not that of others: take the Dst of the day"
+    bound = "the ring current changes from hour to hour: take the Dst of the day"
 
     def alternatives(self, setting: Setting) -> tuple[Effect, ...]:
         """Constant, and the two decays where the record is long enough to show one."""

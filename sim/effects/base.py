@@ -219,7 +219,7 @@ def elapsed_s(setting: Setting, since: str | None) -> FloatArray:
     return epoch.seconds_since(setting.time, start)
 
 
-GOES_ON = "a drift is that of this record: whether, and how far, it goes on at this rate is not known"
+GOES_ON = "the drift was found in this record: whether it continues at this rate is not known"
 """Why a rate says nothing of another record."""
 
 

@@ -109,7 +109,7 @@ def _faults(key: str, draw: DrawSection, tree: Mapping[str, Any]) -> Iterator[st
         yield "the scenario has no such key" + nearest(key, leaves(tree))
         return
     if value is None or isinstance(value, Mapping):
-        yield "has no value in the scenario: give it one, which a single simulation flies"
+        yield "has no value in the scenario: give it one, which a single simulation uses"
     elif draw.kind != "choice":
         yield from _misfits(value, draw)
 

@@ -44,7 +44,7 @@ class SamplingBase(Section):
                 steps = np.array([rate.every_s, rate.offset_s]) / step_s
                 if (np.abs(steps - np.rint(steps)) > 1e-6).any():
                     raise ValueError(
-                        f"[sampling.{name}]: every_s = {rate.every_s:g} and offset_s = {rate.offset_s:g} are to be whole "
+                        f"[sampling.{name}]: every_s = {rate.every_s:g} and offset_s = {rate.offset_s:g} must be whole "
                         f"multiples of the rows' step_s, {step_s:g}"
                     )
 

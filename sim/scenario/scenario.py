@@ -60,7 +60,7 @@ class Scenario(SensorSections):
         if self.replay is not None and self.orbit is not None:
             raise ValueError("[replay] takes the orbit from the recorded file: leave [orbit] out")
         if self.schedule is not None and self.schedule.in_view_of_stations and not self.station:
-            raise ValueError("schedule.in_view_of_stations wants stations: add [station.NAME], ...")
+            raise ValueError("schedule.in_view_of_stations needs stations: add [station.NAME], ...")
         for number in self.sun_sensor:
             if not number.isdigit() or int(number) < 1:
                 raise ValueError(f"[sun_sensor.{number}]: heads are numbered 1, 2, 3, ...")
@@ -69,7 +69,7 @@ class Scenario(SensorSections):
                 raise ValueError(f"[drivers.{name}]: a name has letters, digits and _ only, 60 at most")
         reference = self.attitude.reference
         if (reference.needs_sun or reference.source == "sensors") and not self.sun_sensor:
-            raise ValueError("the reference attitude wants sun sensors: add [sun_sensor.1], ...")
+            raise ValueError("the reference attitude needs sun sensors: add [sun_sensor.1], ...")
         if reference.source != "error_model" and (reference.sigma_deg or reference.tau_s):
             raise ValueError(
                 f'a reference attitude with source = "{reference.source}" has the errors of what measures it: leave '
@@ -86,11 +86,11 @@ class Scenario(SensorSections):
                 "give both or neither"
             )
         if reference.source == "sensors" and self.horizon_scanner is None:
-            raise ValueError("a reference attitude from sensors wants a [horizon_scanner]")
+            raise ValueError("a reference attitude from sensors needs a [horizon_scanner]")
         if self.attitude.mode in ("tumble", "spin", "dynamics") and self.spacecraft.inertia_kg_m2 is None:
-            raise ValueError(f"attitude mode {self.attitude.mode} wants inertia_kg_m2 in [spacecraft]")
+            raise ValueError(f"attitude mode {self.attitude.mode} needs inertia_kg_m2 in [spacecraft]")
         if self.slit_sun_sensor is not None and (self.attitude.mode != "spin" or self.replay is not None):
-            raise ValueError('[slit_sun_sensor] wants a free spin: mode = "spin" in [attitude], and no [replay]')
+            raise ValueError('[slit_sun_sensor] needs a free spin: mode = "spin" in [attitude], and no [replay]')
         self._dynamic()
         self._sampled()
         wrong = scenario_draws.faults(self.draws, self.model_dump()) if self.draws else []
@@ -102,14 +102,14 @@ class Scenario(SensorSections):
         """What only attitude mode dynamics may have, and what it may not."""
         flown, section = self.attitude.mode == "dynamics", self.torquers
         if flown and self.replay is not None:
-            raise ValueError("attitude mode dynamics flies an orbit: leave [replay] out")
+            raise ValueError("attitude mode dynamics needs an orbit: leave [replay] out")
         for name in ("dynamics", "torques", "control"):
             if not flown and getattr(self, name) is not None:
-                raise ValueError(f'[{name}] wants mode = "dynamics" in [attitude]')
+                raise ValueError(f'[{name}] needs mode = "dynamics" in [attitude]')
         steered = section is not None and section.activity == "control"
         law = None if self.control is None else self.control.law
         if steered and law is None:
-            raise ValueError('torquers.activity = "control" wants attitude mode dynamics and a law in [control]')
+            raise ValueError('torquers.activity = "control" needs attitude mode dynamics and a law in [control]')
         if law is not None and section is not None and not steered:
             raise ValueError('with a law in [control] the torquers are its own: set torquers.activity = "control"')
         if law is not None:

@@ -42,7 +42,7 @@ def _stamp(value: Any) -> Any:
         if value.utcoffset() is None or value.utcoffset().total_seconds() != 0:
             raise ValueError("a time needs UTC: end it with Z, as 1978-07-24T06:00:00Z")
         return iso(np.datetime64(value.replace(tzinfo=None), "ns"), "ns")
-    raise ValueError("a time is wanted, as 1978-07-24T06:00:00Z")
+    raise ValueError("a time is needed, as 1978-07-24T06:00:00Z")
 
 
 Stamp = Annotated[str, BeforeValidator(_stamp)]
@@ -285,7 +285,7 @@ class ThermalSection(Section):
     @model_validator(mode="after")
     def _thermostat(self) -> Self:
         if (self.heater_on_below_degC is None) != (self.heater_off_above_degC is None):
-            raise ValueError("a heater wants both heater_on_below_degC and heater_off_above_degC")
+            raise ValueError("a heater needs both heater_on_below_degC and heater_off_above_degC")
         return self
 
 

@@ -251,7 +251,7 @@ class ColumnMap(Strict):
         names = [name for entry in self.file for name in entry.columns]
         doubled = sorted({name for name in names if names.count(name) > 1})
         if doubled:
-            raise ValueError(f"{doubled[0]} comes from two [[file]] entries; one sensor, one source")
+            raise ValueError(f"{doubled[0]} comes from two [[file]] entries; give one of them")
         return self
 
 

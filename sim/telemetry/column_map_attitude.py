@@ -48,7 +48,7 @@ def check(spec: ColumnSpec) -> None:
         raise ValueError(f"vectors {spec.vectors[:20]!r} is not known; known: {', '.join(VECTORS)}")
     measured = spec.vectors in MEASURED
     if measured and spec.relative_to is not None:
-        raise ValueError("measured vectors of sun and nadir say themselves what the attitude is relative to")
+        raise ValueError("measured vectors of sun and nadir define the reference: leave relative_to out")
     if not measured and spec.relative_to is None:
         raise ValueError(f"attitude wants relative_to: {', '.join(words.REFERENCES)}")
     wanted = components(spec)

@@ -125,7 +125,7 @@ def draft(paths: Sequence[Path | str]) -> str:
     tables = [one for path in paths for one in _inside(Path(path))]
     headers = _alike([header for path in tables for header in headers_of(path)])
     parts = [
-        "# A first column map. Whatever was guessed says so: look at it, mend it, delete the comment.",
+        "# A first column map. Every guess is marked: confirm or correct it, and delete the comment.",
         f"# Then: fluxtwin check {shlex.quote(_shown(headers))} --map THIS.toml",
     ]
     seen: set[str] = set()

@@ -113,7 +113,7 @@ class _Reader:
         parts = [self.file.numbers(name) for name in names]
         if any(part.ndim not in (1, 2) for part in parts) or len({part.shape[0] for part in parts}) > 1:
             raise BadInput(
-                f"{clip(names[0])} has not one row a sample", where=self.where, wanted="(time,) or (time, 3)"
+                f"{clip(names[0])} does not have one row per sample", where=self.where, wanted="(time,) or (time, 3)"
             )
         return self._blanked(np.concatenate([part.reshape(len(part), -1) for part in parts], axis=1), np.nan)
 

@@ -282,7 +282,7 @@ def without_comments(data: bytes, notices: list[str]) -> tuple[bytes, int]:
     is_row = any(cell.strip() and _is_number(cell.decode("utf-8", "replace")) for cell in cells)
     lines = len(starts) - is_row
     if lines:
-        notices.append(f"{lines} line{'s' if lines > 1 else ''} above the header begin with # and were passed over")
+        notices.append(f"{lines} line{'s' if lines > 1 else ''} above the header begin with # and were skipped")
     return data[starts[-1] + 1 if is_row else at :], lines
 
 

@@ -60,7 +60,7 @@ def test_attitude_row_by_row_and_the_first_line_is_the_verdict(cli: Cli, folder:
     lines = outcome.out.splitlines()
     assert lines[0].startswith("Good: nothing contradicts the attitude. 1 sigma about body x, y, z: 0.")
     assert "without" in lines[0]
-    assert any(line.startswith("Followed: nadir and sun") for line in lines)
+    assert any(line.startswith("Used: nadir and sun") for line in lines)
     assert any(line.startswith("Next: ") for line in lines)
     rows = list(csv.DictReader((tmp_path / "a.csv").read_text(encoding="utf-8").splitlines()))
     record = json.loads((tmp_path / "a.json").read_text(encoding="utf-8"))

@@ -100,7 +100,7 @@ def test_a_second_correction_is_refused(cli: Cli, flight: Path, tmp_path: Path, 
     assert not (tmp_path / "2.csv").exists()
     forced = cli(*again, FORCED)
     assert forced.status == 0  # type: ignore[attr-defined]
-    assert "applied all the same, by --force" in forced.err  # type: ignore[attr-defined]
+    assert "applied anyway, by --force" in forced.err  # type: ignore[attr-defined]
     assert "corrected already" in forced.err  # type: ignore[attr-defined]
     assert fluxtwin.read(tmp_path / "2.csv").corrected_by.count(" then ") == 1
 

@@ -40,7 +40,7 @@ def test_the_law_stands_in_the_sentence_the_json_and_the_page(folder: Path) -> N
         found = term["coefficients"][axis]
         assert abs(found["value"] - k) < 4.0 * found["sigma"], axis
     page = as_read((folder / "gap.html").read_text(encoding="utf-8"))
-    assert "The law of what the catalogue does not explain" in page and "law.payload_sunlit" in page
+    assert "A law for what the catalogue does not explain" in page and "law.payload_sunlit" in page
 
 
 def test_the_closed_scenario_flies_and_frozen_leaves_no_gap(cli: Cli, folder: Path, tmp_path: Path) -> None:

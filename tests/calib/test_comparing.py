@@ -70,7 +70,9 @@ def test_a_method_without_drivers_is_compared_without_and_says_so(model: FieldMo
 def test_the_choice_among_equals_claims_no_less_input(model: FieldModel) -> None:
     compared = compare(flown(0.0, 0.02), model, {name: ESTIMATORS[name] for name in ("linear", "forward")}, {})
     assert compared.chosen == "linear"
-    assert compared.why.startswith("Take linear: no method errs less beyond chance; forward may be as good")
+    assert compared.why.startswith(
+        "Take linear: no other method has a significantly smaller error; forward may be as good"
+    )
     assert "needs less" not in compared.why
 
 

@@ -65,7 +65,7 @@ def test_hours_grow_with_the_square_of_the_size():
     )
     assert hours_needed(found, 0.5, 5.0) == pytest.approx(80.0, rel=1e-12)
     words = would_settle({"time_tag_offset": found}, {"heater_switching": "no column"}, 5.0)
-    assert words["time_tag_offset"].startswith("for offset 0.5 s: about 80 h of such data in place of 5 h, or a spin")
+    assert words["time_tag_offset"].startswith("for offset 0.5 s: about 80 h of such data instead of 5 h, or a spin")
     assert words["heater_switching"] == HeaterSwitching.settled_by
     assert would_settle({"time_tag_offset": Detectable("offset", 0.4, "s", 10.0)}, {}, 5.0) == {}
 

@@ -77,7 +77,7 @@ def test_a_sure_name_whose_share_is_not_measured_says_why() -> None:
         "the probability that this is chance is less than 1e-12",
         f"its signal is {found.effects[0].visible_nT:.1f} nT rms",
         f"{found.gap.before_nT:.1f} nT rms where {found.gap.floor_nT:.1f} nT are expected without it",
-        "more data of the same kind would allow that",
+        "more data of the same kind would measure it",
     ):
         assert part in found.sentence
 

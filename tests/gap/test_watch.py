@@ -197,7 +197,7 @@ def test_a_field_that_comes_late_is_not_taken_without_the_rows_before(record: Te
         bias = TelemetryBias(np.array([10.0, 0.0, 0.0]), np.ones(3), delay_s=delay_s)
         known = replace(plain, telemetry_bias={"driver_heater": bias})
         if refused:
-            with pytest.raises(BadInput, match="driver_heater comes late"):
+            with pytest.raises(BadInput, match="driver_heater is delayed"):
                 begin(heater.select(slice(0, FIRST)), MODEL, None, known)
         else:
             begin(heater.select(slice(0, FIRST)), MODEL, None, known)

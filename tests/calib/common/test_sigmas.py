@@ -152,7 +152,7 @@ def test_forward_solves_what_varies_less_than_the_reading_is_noisy(seasat: Any, 
     fit = fit_design(now, LinearOptions(method="forward", **known, robust="none"))
     assert np.abs(pull(fit, meter)).max() < 5.0
     assert np.allclose(fit.calibration.sigmas[[1, 4, 7]], 100.0 / 60.0 / np.sqrt(rows), rtol=0.15)
-    with pytest.raises(NoAnswer, match="direction forward"):
+    with pytest.raises(NoAnswer, match="method forward"):
         fit_design(now, LinearOptions(**known, robust="none"))
 
 

@@ -190,7 +190,7 @@ def test_a_field_that_follows_a_column_survives_saving(record: Telemetry, model:
     np.testing.assert_allclose(corrected, expected, rtol=0.0, atol=1e-6)
     left = predict_scalar(spoilt, again, model).to_dict()
     assert left == predict_scalar(spoilt, fit.calibration, model).to_dict()
-    with pytest.raises(BadInput, match="a field that follows 'array_current_A', and the column is not there"):
+    with pytest.raises(BadInput, match="a field that follows 'array_current_A', and the telemetry lacks the column"):
         apply_calibration(spoilt.replace(array_current_A=None), again)
     lines = [line for line in path.read_text().splitlines() if not line.startswith("sha256")]
     path.write_text("\n".join(lines).replace("nT_per_unit", "nT"))

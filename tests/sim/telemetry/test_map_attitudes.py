@@ -143,7 +143,7 @@ def test_check_names_what_an_attitude_is_really_relative_to(tmp_path: Path, true
         ('euler = "ZYX", unit = "deg"', "wants relative_to"),
         ('euler = "ZYX", order = "xyz", unit = "deg", relative_to = "GCRS"', "order and euler"),
         ('vectors = "sun moon"', "known: sun nadir"),
-        ('vectors = "sun nadir", relative_to = "GCRS"', "say themselves"),
+        ('vectors = "sun nadir", relative_to = "GCRS"', "define the reference"),
     ],
 )
 def test_what_says_no_attitude_is_refused(tmp_path: Path, spec: str, said: str) -> None:

@@ -78,16 +78,16 @@ _KINDS = (
     ("sun", re.compile(r"sun")),
     ("nadir", re.compile(r"nadir")),
     ("mag", re.compile(r"(^|_)b(_|$)")),
-    ("velocity", re.compile(r"^v(_|$)|(_|^)v$")),
-    ("rate", re.compile(r"^w(_|$)")),
-    ("position", re.compile(r"pos|ecef|eci|^r(_|$)|(_|^)r$|orb|gps|gnss")),
+    ("velocity", re.compile(r"(^|_)v(_|$)")),
+    ("rate", re.compile(r"(^|_)w(_|$)")),
+    ("position", re.compile(r"pos|ecef|eci|(^|_)r(_|$)|orb|gps|gnss")),
 )
 """What the name of three columns without their axes says; the first that fits counts."""
 _LIKELY = (
-    ("mag", re.compile(r"^(m|h|f)(_[a-z]*|$)|(^|_)(mg|mgn|fg|fm|bf)(_|$)")),
-    ("velocity", re.compile(r"^(km_?s|m_?s|kmps|mps)$|(^|_)(state_?)?v(_|$)")),
+    ("mag", re.compile(r"^(m|h|f)(_[a-z]*|$)|(^|_)(mg|mgn|fg|fm|bf|mm\d?)(_|$)")),
+    ("velocity", re.compile(r"^(km_?s|m_?s|kmps|mps)$|(^|_)state_?v(_|$)")),
     ("position", re.compile(r"^(km|m|)$|(^|_)(p|sc|sat|xyz|state|cis|geo|coord[a-z]*|loc[a-z]*|s)(_|$)")),
-    ("rate", re.compile(r"(^|_)(om|g|gy|imu|w)(_|$)")),
+    ("rate", re.compile(r"(^|_)(om|g|gy|imu)(_|$)")),
     ("dipole", re.compile(r"(^|_)(dip|mt|mtr|tq|trq|rod)(_|$)")),
 )
 """Likewise where no other columns of the file are that quantity; a guess."""
@@ -106,8 +106,9 @@ _SIZES = {
     "velocity": (("m/s", 300.0, 12e3), ("km/s", 0.3, 12.0)),
 }
 """Typical sizes of a vector by unit: a guess where the name says none."""
+_SUNLIT = re.compile(r"sun_?(lit|light|flag|presen)|in_sun|illum|(?P<shadow>eclipse|shadow|umbra)")
 _CURRENT = re.compile(
-    r"curr|(?<!st)amp(s|ere)?(_|$)|^i_?(sa|bat|load|bus)|(^|_)i_|_i(_|$)|_m?a$|duty|pwm|heater|load|(^|_)on(_|$)|enabled"
+    r"curr|(^|_)cur(_|$)|(?<!st)amp(s|ere)?(_|$)|^i_?(sa|bat|load|bus)|(^|_)i_|_i(_|$)|_m?a$|duty|pwm|heater|load|(^|_)on(_|$)|enabled"
 )
 _COUNTS = re.compile(r"cnt|count|adc|(^|_)raw(_|$)", re.IGNORECASE)
 _MOST_A = 30.0
@@ -296,8 +297,10 @@ def _quantities(header: Header, free: list[str]) -> list[_Found]:
             )
         elif _CURRENT.search(low):
             out.append(_current(header, name))
-        elif low in ("sunlit", "sunlit_flag", "in_sun"):
-            out.append(("sunlit", [name], {}, []))
+        elif (lit := _SUNLIT.search(low)) is not None and _is_switch(header.values[name]):
+            dark: dict[str, object] = {"scale": -1, "offset": 1} if lit["shadow"] else {}
+            doubt = f"sunlit: that {name} is {'1 in shadow' if dark else '1 in sunlight'}"
+            out.append(("sunlit", [name], dark, [] if low.startswith("sunlit") else [doubt]))
     if header.frame is not None:  # the format states it, with units and order
         words = {"attitude": "relative_to", "position": "frame", "velocity": "frame"}
         out = [(name, columns, own | {words[name]: header.frame}, []) for name, columns, own, _ in out]
@@ -327,12 +330,17 @@ def _is_number(header: Header, name: str) -> bool:
     return name in header.values and header.values[name].ndim == 1
 
 
+def _is_switch(value: FloatArray) -> bool:
+    """Whether there is nothing but 0 and 1."""
+    return bool(np.isfinite(value).any()) and set(np.unique(value[np.isfinite(value)])) <= {0.0, 1.0}
+
+
 def _rows_that_count(header: Header) -> list[str]:
     """A line on the columns that look as if they said which rows are good."""
     found = [
         name
         for name, value in header.values.items()
-        if _GOOD.search(name) and value.ndim == 1 and set(np.unique(value[np.isfinite(value)])) == {0.0, 1.0}
+        if _GOOD.search(name) and value.ndim == 1 and _is_switch(value) and np.ptp(value[np.isfinite(value)]) > 0.0
     ]
     text = " and ".join(f'"{name}" == 1' if re.search(r"\W", name) else f"{name} == 1" for name in found)
     return [f"{CONFIRM} which rows count; if those with 1: where = {json.dumps(text)}"] if found else []

@@ -15,7 +15,7 @@ from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.telemetry.column_map_draft_header import Header
 
 _LIKELY = re.compile(
-    r"time|date|utc|tai|stamp|epoch|unix|zeit|^t($|_)|^ts|sec|week|tow|sow|clock|sclk|obt|t_?tag|(^|_)(met|jd|sod|et)(_|$)",
+    r"time|date|utc|tai|stamp|epoch|unix|zeit|^t($|\W|_)|^ts|sec|week|tow|sow|clock|sclk|obt|t_?tag|(^|_)(met|jd|sod|et)(_|$)",
     re.IGNORECASE,
 )
 _WEEK = re.compile(r"week|(^|_)(gps_?)?(wn|wno|wk)(_|$)|(^|_)gpsw(_|$)", re.IGNORECASE)

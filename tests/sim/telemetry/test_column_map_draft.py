@@ -30,6 +30,7 @@ R, V = Orbit(epoch_utc=START, altitude_km=550.0, inclination_rad=1.7, raan_rad=1
 R_BN = Rotation.from_rotvec(np.outer(np.arange(200) * 0.02, [0.2, 0.5, 0.1]))
 MAG = R_BN.apply(field_N_nT(load_field("igrf14"), TIME, R))
 Q = frames.q_from_rotation(R_BN)
+DARK = (np.arange(200) % 40 > 25).astype(float)
 UNIX = TIME.astype("int64") * 1e-9
 GPS = UNIX - 315964800.0 + 18.0
 """18 leap seconds since 1980."""
@@ -91,6 +92,15 @@ HEADERS = {
         **triple("px py pz", R),
         **triple("qi qj qk qs", Q),
     },
+    "names with marks and brackets, a shadow flag": {
+        "t [s]": UNIX,
+        **triple("adcs.mm1.x adcs.mm1.y adcs.mm1.z", MAG),
+        **triple("nav.v_eci[0] nav.v_eci[1] nav.v_eci[2]", V),
+        **triple("nav.r_eci[0] nav.r_eci[1] nav.r_eci[2]", R),
+        **triple("st.q_i st.q_j st.q_k st.q_s", Q),
+        "eclipse": DARK,
+        "panel_cur_xp": 0.4 * (1.0 - DARK),
+    },
     "a time tag, flux gate, orbit words, letters of a quaternion": {
         "TTAG": UNIX,
         **triple("MTQX MTQY MTQZ", 0.1 * V),
@@ -127,6 +137,15 @@ def test_guesses_are_marked_and_what_is_plain_is_not(tmp_path: Path) -> None:
     assert any("relative_to" in line for line in marked)
     assert any("velocity: the frame" in line for line in marked)
     assert not any("unit" in line for line in marked), "the header states them"
+
+
+def test_a_shadow_is_no_sunlight_and_a_panel_has_the_arrays_current(tmp_path: Path) -> None:
+    data = table(tmp_path / "t.csv", HEADERS["names with marks and brackets, a shadow flag"])
+    text = draft([data])
+    assert f"{CONFIRM} sunlit: that eclipse is 1 in shadow" in text and "array_current" in text
+    (tmp_path / "map.toml").write_text(text)
+    found = read_telemetry(data, column_map=tmp_path / "map.toml")
+    assert found.sunlit is not None and np.array_equal(found.sunlit, 1.0 - DARK)
 
 
 def test_what_only_a_short_name_says_is_to_be_confirmed(tmp_path: Path) -> None:

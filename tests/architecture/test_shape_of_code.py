@@ -22,6 +22,7 @@ NO_UNIT = (
         "illumination",
         "passes",
         "weights",
+        "own_weight",
         "eccentricity",
         "condition",
         "covariance",

@@ -78,8 +78,12 @@ class TimeRecipe(Strict):
     def _complete(self) -> Self:
         counted = time_recipes.COUNTED.get(self.recipe)
         wanted = len(self.unit_s or counted.units_s) if counted is not None else 1
-        if self.unit_s is not None and (counted is None or not self.unit_s or min(self.unit_s) <= 0.0):
-            raise ValueError("unit_s has a positive number of seconds for each column of a recipe that counts")
+        if self.unit_s is not None and (
+            counted is None or not self.unit_s or not all(1e-12 <= one <= 1e9 for one in self.unit_s)
+        ):
+            raise ValueError(
+                "unit_s has a positive number of seconds, 1e-12 to 1e9, for each column of a recipe that counts"
+            )
         if len(self.names) != wanted and not (self.recipe in ("iso", "text") and self.names):
             raise ValueError(f"recipe {self.recipe} takes {wanted} column{'s' if wanted > 1 else ''}")
         if counted is not None and counted.scale == "GPS" and self.scale not in (None, "GPS"):

@@ -129,7 +129,14 @@ class _Reader:
 
     def choose(self, chosen: Condition, time: TimeArray | None) -> None:
         """Let only those rows count in which the condition holds."""
-        values: dict[str, np.ndarray] = {name: self.numbers([name])[:, 0] for name in chosen.columns}
+        values: dict[str, np.ndarray] = {}
+        for name in chosen.columns:
+            found = self.numbers([name])
+            if found.shape[1] != 1:
+                raise BadInput(
+                    f"{clip(name)} has {found.shape[1]} components", where=f"{self.where}: where", wanted="one"
+                )
+            values[name] = found[:, 0]
         self.taken = chosen.rows(values if time is None else values | {STAMPS: time})
 
     def _blanked(self, value: np.ndarray, missing: object) -> np.ndarray:

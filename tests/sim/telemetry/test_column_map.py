@@ -401,3 +401,12 @@ def test_rows_before_a_time_do_not_count(tmp_path: Path) -> None:
 def test_rows_that_cannot_be_meant_are_refused(tmp_path: Path, where: str, said: str) -> None:
     with pytest.raises(BadInput, match=said):
         of_rows(tmp_path, where)
+
+
+def test_a_condition_on_a_vector_is_refused(tmp_path: Path) -> None:
+    dataset = of_rows(tmp_path, "'VALID == 1'").to_xarray()
+    mag = 'mag = { from = "mag_B_nT", unit = "nT" }'
+    text = f'[[file]]\ntime = {{ recipe = "cf", columns = "time" }}\nwhere = "mag_B_nT > 1"\n[file.columns]\n{mag}\n'
+    (tmp_path / "m.toml").write_text(text, encoding="utf-8")
+    with pytest.raises(BadInput, match="mag_B_nT has 3 components"):
+        read_telemetry(dataset, column_map=tmp_path / "m.toml")

@@ -27,6 +27,7 @@ from fluxtwin.sim.base import files
 from fluxtwin.sim.base.errors import BadInput, NoAnswer
 from fluxtwin.sim.base.progress import Progress
 from fluxtwin.sim.base.seals import sealed_json, unsealed_json
+from fluxtwin.sim.base.shown import Shown
 from fluxtwin.sim.base.workers import answers, require_workers
 from fluxtwin.sim.run.ensemble.draws import flattened
 from fluxtwin.sim.run.ensemble.plan import Plan, make_plan, require_same, write_record
@@ -41,7 +42,7 @@ Run = dict[str, Any]
 
 
 @dataclass(frozen=True)
-class Campaign:
+class Campaign(Shown):
     """A campaign that was flown; everything is in its folder as well."""
 
     folder: Path

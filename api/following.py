@@ -28,6 +28,7 @@ from fluxtwin.one_thread import on_one_blas_thread
 from fluxtwin.sim.base.errors import BadInput, NoAnswer
 from fluxtwin.sim.base.processes import stop_if_asked
 from fluxtwin.sim.base.progress import Progress
+from fluxtwin.sim.base.shown import Shown
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.earth.field_models import load_field
 from fluxtwin.sim.telemetry.csv_files import without_comments
@@ -49,7 +50,7 @@ _KEPT_ROWS = 1_000_000
 
 
 @dataclass(frozen=True)
-class Followed:
+class Followed(Shown):
     """What a stream of rows has shown."""
 
     changed: Changed | None

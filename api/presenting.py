@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fluxtwin import calibration_page, check_page, describing, diagnosis_page, plan_page
+from fluxtwin import calibration_page, campaign_page, check_page, describing, diagnosis_page, fleets, plan_page
 from fluxtwin.calib.attitude.three_axis import AttitudeSolution
 from fluxtwin.calib.attitude.yaw import YawSolution
 from fluxtwin.calib.checks.report import CheckReport
@@ -18,7 +18,10 @@ from fluxtwin.calib.common.fit import Fit
 from fluxtwin.calib.common.records import Calibration
 from fluxtwin.calib.common.verdict import kept_rows
 from fluxtwin.calib.trend import Trend
+from fluxtwin.campaigning import Campaign
 from fluxtwin.console import shown
+from fluxtwin.following import Followed
+from fluxtwin.gap.fleet import Fleet
 from fluxtwin.gap.records.diagnosis import Diagnosis
 from fluxtwin.gap.records.plan import CalibrationPlan, Plan
 from fluxtwin.plots import on_axes
@@ -80,6 +83,15 @@ def _fit(fit: Fit) -> Presented:
 def _diagnosis(found: Diagnosis) -> Presented:
     sentences = [found.sentence, *diagnosis_page.where_lines(found), *found.notes]
     return Presented(sentences, diagnosis_page.tables(found))
+
+
+def _followed(found: Followed) -> Presented:
+    whole = _diagnosis(found.diagnosis)
+    return Presented([found.line, *whole.sentences], whole.tables)
+
+
+def _campaign(found: Campaign) -> Presented:
+    return Presented(campaign_page.sentences(found.summary), campaign_page.tables(found.summary))
 
 
 def _plan(found: Plan | CalibrationPlan) -> Presented:
@@ -211,6 +223,9 @@ _WORDS: dict[type, Callable[[Any], Presented]] = {
     CheckReport: _check,
     YawSolution: _yaw,
     AttitudeSolution: _attitude,
+    Followed: _followed,
+    Fleet: lambda found: Presented(found.lines, fleets.tables(found)),
+    Campaign: _campaign,
     Trend: lambda found: Presented(found.lines, [trend_table(found)]),
     Telemetry: lambda record: _inventory(describing.of_record(record)),
     describing.Inventory: _inventory,
@@ -218,6 +233,7 @@ _WORDS: dict[type, Callable[[Any], Presented]] = {
 _PICTURES: dict[type, Callable[[Axes, Any], Axes]] = {
     Fit: _draw_fit,
     Diagnosis: _draw_diagnosis,
+    Followed: lambda axes, found: _draw_diagnosis(axes, found.diagnosis),
     Plan: _draw_plan,
     CalibrationPlan: _draw_plan,
     YawSolution: _draw_yaw,

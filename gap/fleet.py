@@ -27,6 +27,7 @@ from fluxtwin.gap.records.diagnosis import Diagnosis, Score
 from fluxtwin.gap.selection.criterion import THRESHOLD, TWENTY_TO_ONE, worth
 from fluxtwin.gap.selection.score import ALIKE
 from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.shown import Shown
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.base import Effect
 
@@ -66,7 +67,7 @@ class Fault:
 
 
 @dataclass(frozen=True)
-class Fleet:
+class Fleet(Shown):
     """What V vehicles say together."""
 
     vehicles: tuple[str, ...]

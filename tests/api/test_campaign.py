@@ -48,6 +48,8 @@ def test_a_campaign_and_its_page(cli: Cli, tmp_path: Path) -> None:
     assert again.status == 0, again.err
     assert first == {name: (tmp_path / "out" / name).read_bytes() for name in first}
     assert cli(*words, "--resume", "--seed", 5).status == 2
+    flown = fluxtwin.campaign(tmp_path / "s.toml", 5, tmp_path / "out", jobs=1, resume=True)
+    assert done.out.splitlines()[0][:40] in flown.report() and "time_tag_offset was named in" in flown._repr_html_()
 
 
 def test_the_ground_does_not_know_what_was_drawn() -> None:

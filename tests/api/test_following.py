@@ -93,6 +93,8 @@ def test_records_from_python_are_the_same_to_the_bit_in_any_pieces(record: Telem
     assert one.diagnosis.to_dict() == other.diagnosis.to_dict()
     assert one.diagnosis.to_dict() == fluxtwin.diagnose(record, attitude_sigma_deg=0.05).to_dict()
     assert "in all three components" in said[0]
+    assert one.line in one.report() and one.diagnosis.sentence in one.report() and "<table" in one._repr_html_()
+    assert one.plot().get_title(loc="left").startswith("Where the gap lies")
     assert one.rows in range(other.rows - 250, other.rows + 250)  # begun where the first piece was long enough
 
 

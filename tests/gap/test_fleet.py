@@ -110,4 +110,6 @@ def test_what_scores_explain_does_not_hang_on_units() -> None:
 def test_two_vehicles_are_no_fleet(perfect: Diagnosis) -> None:
     with pytest.raises(BadInput, match="2 vehicles"):
         fleet(["a", "b"], [perfect, perfect])
-    assert fleet(["a", "b", "c"], [perfect] * 3).vehicles == ("a", "b", "c")
+    three = fleet(["a", "b", "<c>"], [perfect] * 3)
+    assert three.vehicles == ("a", "b", "<c>")
+    assert "No vehicle stands out" in three.report() and "No vehicle stands out" in three._repr_html_()

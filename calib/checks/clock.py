@@ -29,6 +29,7 @@ from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import epoch, frames
 from fluxtwin.sim.earth.constants import EARTH_RATE_RAD_S
 from fluxtwin.sim.earth.field import FieldModel, field_N_nT
+from fluxtwin.sim.earth.tle import TleSeries, along_track_sigma_km
 from fluxtwin.sim.telemetry.record import Telemetry
 from fluxtwin.sim.telemetry.time_recipes import GPS_EPOCH
 
@@ -118,8 +119,8 @@ def _further(R_EN: Rotation, angle_rad: FloatArray) -> Rotation:
 
 
 def predictions(sample: Sample, model: FieldModel, origin: Origin, shifts: Iterable[float]) -> dict[float, FloatArray]:
-    """The reading that a perfect magnetometer would give, (n, 3) [nT], for each shift that the model covers; body axes
-    with attitude, GCRS without."""
+    """The reading that a perfect magnetometer would give, (n, 3) [nT], for each shift that field model and elements reach;
+    body axes with attitude, GCRS without."""
     out: dict[float, FloatArray] = {}
     tried, _ = list(shifts), sample.R_EN  # computed once, for all shifts
     size = max(ROWS_AT_ONCE // len(sample), 1)
@@ -135,7 +136,7 @@ def predictions(sample: Sample, model: FieldModel, origin: Origin, shifts: Itera
 
 
 def _together(sample: Sample, model: FieldModel, origin: Origin, shifts: list[float]) -> dict[float, FloatArray]:
-    """`predictions` of a few shifts, all of which the model must cover, in one evaluation."""
+    """`predictions` of a few shifts, all of which must be in reach, in one evaluation."""
     rows = np.tile(np.arange(len(sample)), len(shifts))
     field, R_BN = shifted(sample.take(rows), model, origin, np.repeat(shifts, len(sample)))
     reading = field if R_BN is None else R_BN.apply(field)
@@ -143,7 +144,7 @@ def _together(sample: Sample, model: FieldModel, origin: Origin, shifts: list[fl
 
 
 def check_clock(sample: Sample, model: FieldModel, origin: Origin) -> list[Finding]:
-    """The trap `clock`, or the note `clock_tested` with what would and what would not show."""
+    """The trap `clock`, or the note `clock_tested` with what would and what would not show, or `elements_off`."""
     sample = sample.thinned(5 * BLOCKS)
     shifts = shifts_s(sample)
     plain = plain_shifts_s(origin)
@@ -156,6 +157,8 @@ def check_clock(sample: Sample, model: FieldModel, origin: Origin) -> list[Findi
     share = np.where(zone, 1.0, SIZE_SHARE)  # coarse steps of a slow reading look like a shift to |B|
     odds[1:][(evidence.misfit_nT > share * evidence.misfit_nT[0])[1:]] = -np.inf  # nor may the plain fit get worse
     best = int(np.argmax(odds))
+    if best and odds[best] > CLEAR and of_elements(tried[best], shifts, sample, origin):
+        return [_elements_off(tried[best], sample, *evidence.misfit_nT[[0, best]].tolist())]
     if best and odds[best] > CLEAR:
         cause = shifts.get(tried[best]) or plain[tried[best]]
         said = named_shift(tried[best], cause, float(evidence.misfit_nT[0]), float(evidence.misfit_nT[best]))
@@ -170,6 +173,34 @@ def check_clock(sample: Sample, model: FieldModel, origin: Origin) -> list[Findi
     shows = gain - np.sqrt(2.0 * gain) > costs + CLEAR
     shows &= evidence.misfit_nT[0] <= share * evidence.misfit_nT
     return [_what_shows(dict(zip(tried, shows.tolist(), strict=True)), shifts, plain, origin)]
+
+
+def of_elements(shift_s: float, known: Container[float], sample: Sample, origin: Origin) -> bool:
+    """Whether positions so far along the orbit are likelier an error of the two-line elements than one of the clock.
+
+    Of elements of that age the error along the track has a normal distribution; the log odds against its size are held
+    against those against the shift.
+    """
+    if origin.elements is None:
+        return False
+    return 0.5 * (_distance_km(shift_s, sample) / _elements_km(sample, origin.elements)) ** 2 < cost(shift_s, known)
+
+
+def _distance_km(shift_s: float, sample: Sample) -> float:
+    """Along the orbit, by the median speed."""
+    return abs(shift_s) * float(np.nanmedian(np.linalg.norm(sample.v_N_km_s, axis=1)))
+
+
+def _elements_km(sample: Sample, elements: TleSeries) -> float:
+    """The error along the track of such elements, 1 sigma."""
+    return along_track_sigma_km(float(np.median(elements.age_days(sample.time))))
+
+
+def _elements_off(shift_s: float, sample: Sample, as_is_nT: float, mended_nT: float) -> Finding:
+    """The note where positions farther along the orbit fit better, by no more than elements may be off."""
+    side = "behind" if shift_s > 0 else "ahead of"
+    sizes = {"km": _distance_km(shift_s, sample), "as_is": as_is_nT, "mended": mended_nT}
+    return note("elements_off", side=side, shift=shift_words(shift_s), **sizes)
 
 
 def named_shift(shift_s: float, words: str, as_is_nT: float, mended_nT: float) -> str:
@@ -221,14 +252,13 @@ def _what_shows(shows: dict[float, bool], shifts: dict[float, str], plain: Itera
         meant = "Earth-fixed positions are kept"
     else:
         meant = "positions relative to GCRS stay the same while the Earth turns under them"
-    said: dict[bool, list[str]] = {True: [], False: []}
+    said: dict[str, list[str]] = {"would show": [], "would not show": [], "cannot be tested": []}
     for shift, words in ((s, shifts[s]) for s in sorted(shifts) if 1.0 < s < 1800.0 or s in (3600.0, 86400.0)):
-        seen = shows.get(shift, False) and shows.get(-shift, False)
+        sides = [shows[side] for side in (shift, -shift) if side in shows]
+        seen = "cannot be tested" if len(sides) < 2 else "would show" if all(sides) else "would not show"
         what = "" if shift >= 3600.0 else " (GPS)" if "GPS" in words else " (TAI)"
         said[seen].append(f"{shift_words(shift)}{what}")
-    listed = [
-        f"shifts of {', '.join(some)} would {'' if seen else 'not '}show here" for seen, some in said.items() if some
-    ]
+    listed = [f"shifts of {', '.join(some)} {seen} here" for seen, some in said.items() if some]
     hidden = [abs(shift) for shift in plain if not shows.get(shift, False)]
     greatest = max(map(abs, plain))
     apart = shift_words(min(map(abs, plain)))

@@ -18,6 +18,7 @@ from fluxtwin.calib.checks.clock import (
     check_clock,
     cost,
     named_shift,
+    of_elements,
     plain_shifts_s,
     predictions,
     readings_shift,
@@ -211,7 +212,7 @@ def _stamps(sample: Sample, model: FieldModel, origin: Origin) -> list[Hypothesi
     """Stamps that are off by so much that the reading fits far better without."""
     known = shifts_s(sample)
     names = plain_shifts_s(origin) | known
-    fields = predictions(sample, model, origin, names)
+    fields = predictions(sample, model, origin, (one for one in names if not of_elements(one, known, sample, origin)))
     return [
         Hypothesis("clock", names[shift], "", cost(shift, known), predicted, shift)
         for shift, predicted in fields.items()

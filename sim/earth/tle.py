@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from sgp4.api import SGP4_ERRORS, Satrec
 from sgp4.io import compute_checksum
 
-from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.errors import BadInput, OutOfRange
 from fluxtwin.sim.base.limits import text_of
 from fluxtwin.sim.base.types import FloatArray, TimeArray
 from fluxtwin.sim.earth import epoch, frames
@@ -89,14 +89,14 @@ class Tle:
     def propagate(self, time: TimeArray | np.datetime64) -> tuple[FloatArray, FloatArray]:
         """Position [km] and velocity [km/s] in GCRS, each (N, 3).
 
-        Raises BadInput with SGP4's own words where it gives no answer (decayed, elements out of bounds).
+        Raises OutOfRange with SGP4's own words where it gives no answer (decayed, elements out of bounds).
         """
         stamps = epoch.as_times(time)
         codes, r_km, v_km_s = self.propagate_TEME(stamps)
         bad = np.flatnonzero(codes)
         if bad.size:
             code = int(codes[bad[0]])
-            raise BadInput(
+            raise OutOfRange(
                 f"SGP4 gives no position at {epoch.iso(stamps[bad[0]])} (row {bad[0] + 1}, {bad.size} such"
                 f" rows; elements of {epoch.iso(self.epoch_utc)}): {SGP4_ERRORS.get(code, f'error {code}')}",
                 where=self.where,

@@ -192,7 +192,8 @@ def _about(names: Sequence[str], plain: Mapping[str, Any], here: Flown, recorded
     first = here.plausible(questions.cause_of(known[0])) if known else likely or questions.typical(names[0])
     found = questions.ambiguous([first.name, *names], here, first)
     if not found:
-        raise NoAnswer(f"none of {', '.join(names)} can look like {first.name} in these data: they are distinguished")
+        others = ", ".join(name for name in names if name != first.name)
+        raise NoAnswer(f"these data distinguish {first.name} from {others}: nothing needs to be flown for that")
     return found
 
 

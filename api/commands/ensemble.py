@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 BRIEF = "Simulate thousands of vehicles with drawn parameters, on all cores."
 
+_ROUNDING = 1e-12  # in units of any quantity: below it nothing was simulated
 _SHOWN = ("mean", "std", "p5", "p50", "p95", "p99", "max", "vehicle_of_max")
 
 
@@ -122,9 +123,14 @@ def _table(flown: Ensemble) -> Table:
     from fluxtwin.scenarios.page import Table
 
     found = flown.summary
-    rows = [[name, *(spread[key] for key in _SHOWN)] for name, spread in found["figures"].items()]
+    rows = [[name, *(_seen(spread[key]) for key in _SHOWN)] for name, spread in found["figures"].items()]
     columns = ("quantity of a vehicle", "mean", "std", "5 %", "50 %", "95 %", "99 %", "max", "max in vehicle")
     return Table(f"{found['vehicles']} vehicles of {found['name']}, seed {found['seed']}", columns, rows)
+
+
+def _seen(value: Any) -> Any:
+    """Rounding errors of what is zero, some 1e-15, as zero."""
+    return 0.0 if isinstance(value, float) and abs(value) < _ROUNDING else value
 
 
 def _show(output: Output, flown: Ensemble, drawn: list[Path]) -> None:

@@ -185,7 +185,7 @@ def test_the_horizon_can_make_the_factor_of_two_and_so_can_its_nulls(results, cl
     assert "no evidence of the horizon" in claims[44].why
     quiet = changed(results, "horizon.nulls", lambda nulls: [h.disc] * len(nulls))
     other = next(claim for claim in words().judge(r=quiet) if claim.id == 44)
-    assert "nothing else tried gives the factor" in other.why
+    assert "nothing else tried gives the ratio" in other.why
 
 
 def test_of_what_may_be_missing_only_noise_is_not_excluded_by_the_calibrations(results, claims):

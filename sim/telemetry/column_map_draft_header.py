@@ -13,7 +13,8 @@ from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.limits import MAX_SAMPLES
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.telemetry.column_map_values import from_lists
-from fluxtwin.sim.telemetry.csv_files import TRUTHS, CsvFile, open_csv
+from fluxtwin.sim.telemetry.columns import TRUTHS
+from fluxtwin.sim.telemetry.csv_files import CsvFile, open_csv
 from fluxtwin.sim.telemetry.formats.catalogue import format_of, table_of
 from fluxtwin.sim.telemetry.formats.table import Table
 from fluxtwin.sim.telemetry.netcdf_files import NetcdfFile

@@ -45,6 +45,8 @@ TEXTS = {"spacecraft": "spacecraft", "mag_corrected_by": "calibration", "mag2_co
 A column, not a comment line: it stays in the file when another program sorts, cuts or joins it, and every reader of CSV
 takes it.
 """
+TRUTHS = {"true": 1.0, "false": 0.0}
+"""Words, in any case, of a column that holds nothing else."""
 
 
 @dataclass
@@ -155,6 +157,14 @@ def texts_in(columns: Mapping[str, Iterable[bytes]], where: str) -> dict[str, st
             raise BadInput(f"{column} says {listed} in different rows", where=where, wanted=wanted)
         stated[TEXTS[column]] = "".join(texts)
     return stated
+
+
+def truths_in(text: np.ndarray) -> FloatArray | None:
+    """A column of text, bytes (N,), that holds nothing but true, false and blanks, as 1, 0 and NaN; None for any other."""
+    known = TRUTHS | {"": np.nan, "nan": np.nan}
+    words = [bytes(cell).decode("utf-8", "replace").strip().lower() for cell in text.tolist()]
+    fits = known.keys() >= set(words) and not TRUTHS.keys().isdisjoint(words)
+    return np.array([known[word] for word in words]) if fits else None
 
 
 def describe(column: str) -> tuple[str, str]:

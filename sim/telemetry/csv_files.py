@@ -33,7 +33,16 @@ from fluxtwin.sim.base.limits import (
 )
 from fluxtwin.sim.base.seals import FORMAT, require_format
 from fluxtwin.sim.base.types import FloatArray
-from fluxtwin.sim.telemetry.columns import TEXTS, FileTable, clip, file_columns, file_texts, resolve, texts_in
+from fluxtwin.sim.telemetry.columns import (
+    TEXTS,
+    FileTable,
+    clip,
+    file_columns,
+    file_texts,
+    resolve,
+    texts_in,
+    truths_in,
+)
 from fluxtwin.sim.telemetry.record import TEXT_BYTES, Telemetry
 from fluxtwin.sim.telemetry.time_stamps import format_iso, parse_iso
 
@@ -45,8 +54,6 @@ A column and not a comment, so that every reader takes the file, and rows may be
 _CHECKS = re.compile(r"row_crc32_v(\d{1,4})")
 _CRC_BYTES = len(",01234567")
 _MISSING = ["", "NaN", "nan", "NAN"]
-TRUTHS = {"true": 1.0, "false": 0.0}
-"""Words, in any case, of a column that holds nothing else."""
 _NUMBER = re.compile(r"\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*")
 _STAMP = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(\.(\d{3}){1,3})?Z")
 """A stamp as `format_iso` writes it."""
@@ -93,7 +100,7 @@ class CsvFile:
         try:
             table = np.loadtxt(opened, delimiter=",", comments=None, usecols=places, ndmin=2, encoding="latin1")
         except ValueError:
-            truths = {name: words for name in names if (words := self._truths(name)) is not None}
+            truths = {name: said for name in names if (said := truths_in(self.text(name))) is not None}
             if truths:
                 return truths | self.numbers([name for name in names if name not in truths])
             raise self._bad_cell(names) from None
@@ -102,19 +109,12 @@ class CsvFile:
             self._finite(name, value)
         return found
 
-    def _truths(self, name: str) -> FloatArray | None:
-        """A column of true, false and blanks; None for any other."""
-        known = TRUTHS | dict.fromkeys((one.lower() for one in _MISSING), np.nan)
-        words = [bytes(cell).decode("utf-8", "replace").strip().lower() for cell in self.text(name).tolist()]
-        fits = known.keys() >= set(words) and not TRUTHS.keys().isdisjoint(words)
-        return np.array([known[word] for word in words]) if fits else None
-
     def _numbers_from_cells(self, name: str) -> FloatArray:
         place = self.names.index(name)
         texts = [row[place] for row in self.cells or []]
         wrong = next((i for i, text in enumerate(texts) if not _is_number(text)), None)
         if wrong is not None:
-            if (truths := self._truths(name)) is not None:
+            if (truths := truths_in(self.text(name))) is not None:
                 return truths
             raise self._not_a_number(name, wrong, texts[wrong])
         value = np.array([np.nan if t.strip() in _MISSING else float(t) for t in texts], dtype=np.float64)

@@ -13,7 +13,7 @@ import numpy as np
 from fluxtwin.sim.base import limits
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.types import FloatArray, TimeArray
-from fluxtwin.sim.telemetry.columns import TEXTS, FileTable, clip, resolve, texts_in
+from fluxtwin.sim.telemetry.columns import TEXTS, FileTable, clip, resolve, texts_in, truths_in
 from fluxtwin.sim.telemetry.quantities import DRIVERS, QUANTITIES
 from fluxtwin.sim.telemetry.time_stamps import parse_iso
 
@@ -45,6 +45,8 @@ class Table:
             try:
                 return np.array([float(cell) if cell.strip() else np.nan for cell in value.tolist()])
             except ValueError:
+                if (truths := truths_in(value)) is not None:
+                    return truths
                 raise BadInput(f"{clip(name)} holds no numbers", where=self.where, wanted="a numeric column") from None
         if value.dtype.kind == "M":
             raise BadInput(f"{clip(name)} holds stamps, no numbers", where=self.where, wanted="a numeric column")

@@ -380,6 +380,13 @@ def test_units_in_attributes_and_lists_in_cells() -> None:
         fluxtwin.read([1, 2, 3])  # type: ignore[arg-type]
 
 
+def test_words_of_truth_in_a_frame_are_one_and_zero(record: fluxtwin.Telemetry) -> None:
+    frame = record.to_pandas().assign(flag_ok=["true", "False"] * (len(record) // 2))
+    assert list(fluxtwin.read(frame).flags["ok"][:2]) == [1.0, 0.0]
+    with pytest.raises(BadInput, match="mag_x_nT holds no numbers"):
+        fluxtwin.read(frame.assign(mag_x_nT=["1.5", "true"] * (len(record) // 2)))
+
+
 def test_rows_by_time_and_by_condition(record: fluxtwin.Telemetry) -> None:
     part = record.between(str(record.time[10]), str(record.time[20]))
     assert len(part) == 10 and part.time[0] == record.time[10]

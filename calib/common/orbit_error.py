@@ -8,16 +8,19 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from fluxtwin.calib.common.fit import Fit
 from fluxtwin.sim.base.errors import NoAnswer
 from fluxtwin.sim.earth import frames
 from fluxtwin.sim.earth.references import OF_POSITION, rotation_XN
 from fluxtwin.sim.telemetry.companions import ALONG_TRACK_KM, ATTITUDE_OF_ORBIT
 from fluxtwin.sim.telemetry.record import Telemetry
+
+if TYPE_CHECKING:
+    from fluxtwin.calib.common.fit import Fit
 
 _EARTH_KM = 6378.0
 """An error as large as the Earth is none along a track."""
@@ -29,7 +32,7 @@ def with_orbit_error(fit: Fit, telemetry: Telemetry, again: Callable[[Telemetry]
     again: the same fit of another record. The answer changes in proportion to a shift of less than a degree, so one refit
     with the positions one sigma ahead gives the whole part.
     """
-    sigma_km = _stated_km(telemetry)
+    sigma_km = stated_km(telemetry)
     if not sigma_km or telemetry.r_N_km is None or telemetry.v_N_km_s is None:
         return fit
     said = f"the positions are those of two-line elements, by their age {sigma_km:.3g} km off along the track (1 sigma)"
@@ -47,8 +50,9 @@ def with_orbit_error(fit: Fit, telemetry: Telemetry, again: Callable[[Telemetry]
     return replace(fit, calibration=calibration, messages=(*fit.messages, words))
 
 
-def _stated_km(telemetry: Telemetry) -> float:
-    """The sigma that the provenance states; 0 where it states none, or no number, as a foreign file may."""
+def stated_km(telemetry: Telemetry) -> float:
+    """The error along the track that the provenance states, 1 sigma; 0 where it states none, or no number, as a
+    foreign file may."""
     try:
         size = float(telemetry.provenance.get(ALONG_TRACK_KM, "0"))
     except ValueError:

@@ -17,6 +17,7 @@ from fluxtwin.calib.common.conventions import of_S
 from fluxtwin.calib.common.digits import measured
 from fluxtwin.calib.common.direction import CONFIDENCE, DirectionKnowledge, direction_knowledge
 from fluxtwin.calib.common.observability import correlated_pairs, direction_words
+from fluxtwin.calib.common.orbit_error import stated_km
 from fluxtwin.calib.common.records import Calibration
 from fluxtwin.calib.common.words import say
 from fluxtwin.sim.base.types import BoolArray, FloatArray
@@ -51,6 +52,7 @@ class Pair(NamedTuple):
 
 
 _WITH_TORQUERS = "fluxtwin calibrate TELEMETRY --parameters b,S,T"
+_DIAGNOSE = "fluxtwin diagnose TELEMETRY --html diagnosis.html"
 
 
 class Along(NamedTuple):
@@ -141,11 +143,13 @@ def assess(
     impossible = _impossible(fit, declared, along, residual_nT, strength_nT)
     if not (with_attitude and against_attitude):
         direction = replace(direction, against_reference_deg=None)
-    limits = [] if impossible else _limits(fit, declared, along, direction, strength_nT)
+    suspect_km = _orbit_suspect_km(fit, telemetry, along, strength_nT)
+    of_orbit = [say("verdict.elements", km=suspect_km)] if suspect_km else []
+    limits = [] if impossible else _limits(fit, declared, along, direction, strength_nT, of_orbit)
     coupling = _coupling(fit, D) if impossible or _too_much_along(along) else ""
     return Verdict(
         level="bad" if impossible else "usable" if limits else "good",
-        reasons=(*([coupling] if coupling else []), *(impossible or limits)),
+        reasons=(*([coupling] if coupling else []), *([*impossible, *of_orbit] if impossible else limits)),
         residual=_residual_words(fit, along, residual_nT, impossible=bool(impossible)) + _aside_words(fit),
         residual_nT=residual_nT,
         along_field_nT=along.found_nT,
@@ -155,7 +159,7 @@ def assess(
         correlated=worst_pairs(fit),
         not_observable=fit.observability,
         passes=None if fit.error_model is None else fit.error_model.passes,
-        next_step=_WITH_TORQUERS if coupling else _next_step(fit, impossible, along, direction),
+        next_step=_WITH_TORQUERS if coupling else _next_step(fit, impossible, along, direction, suspect_km > 0.0),
     )
 
 
@@ -234,13 +238,18 @@ def _undetermined(known: Calibration) -> list[str]:
 
 
 def _limits(
-    fit: Fit, declared: DeclaredNoise, along: Along, direction: DirectionKnowledge, strength_nT: float
+    fit: Fit,
+    declared: DeclaredNoise,
+    along: Along,
+    direction: DirectionKnowledge,
+    strength_nT: float,
+    of_orbit: list[str],
 ) -> list[str]:
     """Sentences that say what a usable calibration lacks."""
     known = fit.calibration
-    found = [*fit.warnings, *([declared.words] if declared.ratio > _TRUSTED else [])]
+    found = [*of_orbit, *fit.warnings, *([declared.words] if declared.ratio > _TRUSTED else [])]
     only_b = not known.sigmas[:9].any()
-    if _too_much_along(along):
+    if _too_much_along(along) and not of_orbit:  # which says why
         rest = float(np.sqrt(along.found_nT**2 - along.noise_nT**2))
         beyond = (
             say("verdict.beyond_model", model_nT=FIELD_MODEL_NT) if _beyond_model(along) else say("verdict.of_model")
@@ -302,16 +311,37 @@ def _coupling(fit: Fit, dipole_B_Am2: FloatArray | None) -> str:
     return say("verdict.coupling", share=100 * on) if on else ""
 
 
-def _next_step(fit: Fit, impossible: list[str], along: Along, direction: DirectionKnowledge) -> str:
+def _orbit_suspect_km(fit: Fit, telemetry: Telemetry, along: Along, strength_nT: float) -> float:
+    """How far two-line elements may be off (1 sigma), where that may be what noise does not explain; else 0.
+
+    The field of a dipole changes by no more than 3 B / r per unit of length. `along.allowed` allows for what such an error
+    does, so the comparison is with noise alone.
+    """
+    km = stated_km(telemetry)
+    if (
+        not km
+        or telemetry.r_N_km is None
+        or not (along.found_nT > np.sqrt(2.0) * along.noise_nT or _many_outliers(fit))
+    ):
+        return 0.0
+    steepest = 3.0 * strength_nT / float(np.nanmin(np.linalg.norm(telemetry.r_N_km, axis=1)))
+    return km if along.found_nT < float(np.hypot(along.noise_nT, SEVERAL * km * steepest)) else 0.0
+
+
+def _next_step(
+    fit: Fit, impossible: list[str], along: Along, direction: DirectionKnowledge, orbit_suspect: bool
+) -> str:
     weak = direction_words(fit.variation.directions_B[0])
     if impossible and impossible == _undetermined(fit.calibration):
         return say("verdict.more_field", weak=weak)
+    if orbit_suspect and not impossible:
+        return _DIAGNOSE
     if impossible or _beyond_model(along) or _many_outliers(fit):
         return "fluxtwin check TELEMETRY"
     if _too_much_along(along):
         if not fit.calibration.sigmas[:9].any():
             return "fluxtwin calibrate TELEMETRY --parameters b,S"
-        return "fluxtwin diagnose TELEMETRY --html diagnosis.html"
+        return _DIAGNOSE
     if direction.calibration_deg > direction.noise_deg:
         return say("verdict.more_field", weak=weak)
     return "fluxtwin apply TELEMETRY --calibration CALIBRATION.toml --out CORRECTED"

@@ -89,3 +89,23 @@ def test_what_a_foreign_file_states_is_no_error_of_an_orbit(text: str) -> None:
     assert np.array_equal(
         fluxtwin.calibrate(stated).calibration.covariance, fluxtwin.calibrate(record).calibration.covariance
     )
+
+
+def test_a_verdict_names_the_elements_where_they_may_be_the_cause_and_the_diagnosis_as_the_next_step() -> None:
+    """Far ahead is as elements of that age may be. The same record with known positions hears nothing of them, and one that
+    is wrong by much more is sent to the check first."""
+    far = flown(1, **{"effects.along_track_error": {"ahead_km": 2.5 * SIGMA_KM}})
+    stated = {**far.provenance, ALONG_TRACK_KM: str(SIGMA_KM)}
+    verdict = fluxtwin.calibrate(far.replace(provenance=stated)).verdict
+    assert verdict is not None and verdict.level == "usable"
+    assert "two-line elements, by their age 12 km off" in verdict.reasons[0] == verdict.lines[1]
+    assert verdict.next_step.startswith("fluxtwin diagnose TELEMETRY")
+    known = fluxtwin.calibrate(far).verdict
+    assert known is not None and not any("elements" in line for line in known.lines)
+    turned = far.replace(provenance=stated, q_NB=np.array(far.q_NB) * [-1, -1, -1, 1])
+    bad = fluxtwin.calibrate(turned).verdict
+    assert bad is not None and bad.level == "bad" and bad.reasons and bad.next_step == "fluxtwin check TELEMETRY"
+    assert not any("elements" in line for line in bad.lines)
+    right = flown(1)
+    good = fluxtwin.calibrate(right.replace(provenance={**right.provenance, ALONG_TRACK_KM: str(SIGMA_KM)})).verdict
+    assert good is not None and not any("elements" in line for line in good.lines)

@@ -63,6 +63,8 @@ def command(
     targets = {"--html": (html, outputs.PAGE), "--close": (close, outputs.SCENARIO)}
     output.claim(targets, [*given, scenario, calibration, assumed.field, *reading.files])
     _require_together(telemetry, follow, scenario, html, close, calibration, workers)
+    if len(telemetry) == 1 and (workers.jobs or 1) > 1:
+        output.note("note: one file is diagnosed by one process; --jobs shares several files")
     if follow:
         _follow(output, telemetry[0], html, {**asked, "calibration": calibration}, reading)
         return
@@ -102,6 +104,7 @@ def _require_together(
 ) -> None:
     """Raises BadInput for options that do not go together."""
     from fluxtwin.sim.base.errors import BadInput
+    from fluxtwin.sim.base.workers import require_workers
 
     if follow and (scenario is not None or close is not None):
         wanted = "--follow without --scenario and --close: give --calibration, and the errors by their own options"
@@ -111,8 +114,9 @@ def _require_together(
     if len(telemetry) > 1 and (follow or html is not None or close is not None):
         wanted = "one file for --follow, --html and --close"
         raise BadInput(f"{len(telemetry)} files", where="TELEMETRY", wanted=wanted)
-    if len(telemetry) == 1 and workers != of.WORKERS:
-        raise BadInput("one file is no work to share", where="--jobs, --scheduler", wanted="several files")
+    require_workers(*workers)
+    if len(telemetry) == 1 and workers.scheduler is not None:
+        raise BadInput("one file is no work to share", where="--scheduler", wanted="several files")
 
 
 def _follow(output: Output, telemetry: Path, html: Path | None, asked: dict[str, Any], reading: of.Reading) -> None:

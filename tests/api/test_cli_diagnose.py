@@ -226,6 +226,13 @@ def test_what_is_re_estimated_is_printed_with_sigma_and_unit(late: Case, cli: Cl
     assert "Re-estimated" not in plain.out
 
 
+def test_one_file_takes_any_number_of_processes_and_says_that_it_uses_one(late: Case, cli: Cli, tmp_path: Path) -> None:
+    write_telemetry(late.record.select(slice(0, 120)), tmp_path / "hour.csv")
+    one, two = (cli("diagnose", tmp_path / "hour.csv", *FLAGS, "--jobs", jobs) for jobs in (1, 2))
+    assert one.status == two.status == 0 and one.out == two.out
+    assert "--jobs" not in one.err and "one file is diagnosed by one process" in two.err
+
+
 @pytest.fixture
 def broken(late: Case, tmp_path: Path, cli: Cli) -> Cli:
     """Diagnose a changed record and demand that nothing was written."""

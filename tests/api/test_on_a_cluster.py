@@ -58,7 +58,8 @@ def test_the_bits_are_those_of_this_machine_and_a_lost_worker_costs_nothing(tmp_
 
 def test_what_does_not_go_together_is_said(tmp_path: Path, cli: Cli) -> None:
     for words, why in (
-        (["a.nc", "--jobs", "2"], "one file is no work to share"),
+        (["a.nc", "--jobs", "0"], "0 processes"),
+        (["a.nc", "--scheduler", "tcp://127.0.0.1:1"], "one file is no work to share"),
         (["a.nc", "b.nc", "--html", "p.html"], "one file for --follow, --html and --close"),
     ):
         done = cli("diagnose", *words)

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import epoch, frames, sun
@@ -177,8 +178,14 @@ def features(record: Telemetry, sealed: dict[str, Any]) -> FloatArray:
         courses += [third**2, third]
     axes = np.broadcast_to(np.eye(3), (len(record), 3, 3))
     if form.get("frame") == "inertial":
-        axes = frames.rotation_from_q(np.asarray(record.q_NB)).as_matrix()
+        axes = _R_BN(record).as_matrix()
     return np.concatenate([course[:, None, None] * axes for course in courses], axis=2)
+
+
+def _R_BN(record: Telemetry) -> Rotation:
+    """(N,) attitudes; rows without one, which are not compared, have none of their own."""
+    known = record.has_attitude[:, None]
+    return frames.rotation_from_q(np.where(known, np.asarray(record.q_NB), [0.0, 0.0, 0.0, 1.0]))
 
 
 def _share_on(sealed: dict[str, Any]) -> float:
@@ -190,7 +197,7 @@ def _column(record: Telemetry, name: str) -> FloatArray:
         return np.asarray(record.sunlit, dtype=np.float64)
     if name.startswith("sun_"):
         r_N_km = np.asarray(record.r_N_km)
-        towards = frames.rotation_from_q(np.asarray(record.q_NB)).apply(sun.sun_direction_N(record.time, r_N_km))
+        towards = _R_BN(record).apply(sun.sun_direction_N(record.time, r_N_km))
         return np.asarray(towards[:, "xyz".index(name[-1])])
     kind, _, key = name.partition("_")
     return np.asarray((record.drivers if kind == "driver" else record.flags)[key], dtype=np.float64)

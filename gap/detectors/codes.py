@@ -9,6 +9,7 @@ from scipy import stats
 from scipy.special import gammaln
 
 from fluxtwin.gap.detectors.finding import Finding
+from fluxtwin.gap.noise.robust_rows import CUT_SIGMA
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.effects.digits import BitErrors, CoarseQuantization
 
@@ -133,7 +134,10 @@ def flipped_bits(reading_nT: FloatArray, residual_nT: FloatArray, cut: BoolArray
     dominant = int(np.argmax(shares))
     single = shares[dominant] >= _MOST_SPIKES * count
     total = int(np.isfinite(residual_nT).sum())
-    visible = 1.0 if single else max(int(np.count_nonzero(shares)), 1) / (top + 2)
+    large = lsb_nT * powers[: top + 2] > CUT_SIGMA * float(
+        np.median(spread)
+    )  # a flip of a lower bit does not stand out
+    visible = 1.0 if single else max(int(large.sum()), 1) / (top + 2)
     rate, error = (np.array([size / total / visible]) for size in (count, np.sqrt(count)))
     what = f"{count} spikes, {100 * fitting:.0f} % of them a single flipped bit"
     faults = () if fitting >= _MOST_SPIKES else ("the others are not",)

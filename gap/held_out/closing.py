@@ -12,6 +12,7 @@ import numpy as np
 
 from fluxtwin.calib.common.records import Calibration
 from fluxtwin.gap.noise.budget import reading_spacing
+from fluxtwin.gap.problem.problem import CALIBRATION, calibrated, corrected
 from fluxtwin.gap.records.diagnosis import Closure, EffectParameter, Transfer
 from fluxtwin.gap.selection.forward import RATIOS
 from fluxtwin.gap.selection.refit import Readings, covariance_of, refit
@@ -19,12 +20,11 @@ from fluxtwin.sim.base.errors import BadInput, NoAnswer
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.effects.base import Effect, SignalEffect
-from fluxtwin.sim.effects.chain import Active, Chain
+from fluxtwin.sim.effects.chain import Active
 from fluxtwin.sim.scenario.effect_sections import effect_section
 from fluxtwin.sim.scenario.scenario import Scenario, parse_scenario
 from fluxtwin.sim.spacecraft.sensors.magnetometer import Magnetometer
 
-_CALIBRATION = ("bias", "scale_misalignment", "torquer_coupling")
 _ROUNDS = 2
 """A change of S by 1 % moves an effect by 1 %, so the second fit is good to 1e-4 of it."""
 _UNSURE = 1.25
@@ -84,10 +84,7 @@ def settle(closure: Closure) -> Closed:
     problem, chosen, modelled = closure.problem, closure.chosen, closure.modelled
     covariances: list[FloatArray] = []
     for number in range(_ROUNDS):
-        instrument = corrected(problem.setting.instrument, modelled)
-        chain = Chain(dataclasses.replace(problem.setting, instrument=instrument))
-        kept = tuple(np.zeros_like(theta) if effect.name in _CALIBRATION else theta for effect, theta in modelled)
-        problem = dataclasses.replace(problem, chain=chain, modelled_theta=kept)
+        problem = calibrated(problem, modelled)
         modelled = problem.modelled_active
         if not chosen or number == _ROUNDS - 1:
             break
@@ -100,7 +97,7 @@ def settle(closure: Closure) -> Closed:
         pinned = effect.pinned(problem.setting, problem.chain.reading_nT(others))
         assert isinstance(pinned, SignalEffect)
         named.append((pinned, theta, covariance))
-    rest = tuple(pair for pair in modelled if pair[0].name not in _CALIBRATION)
+    rest = tuple(pair for pair in modelled if pair[0].name not in CALIBRATION)
     return Closed(problem.setting.instrument, rest, tuple(named))
 
 
@@ -138,19 +135,6 @@ def closed_scenario(
     return base.updated(changes)
 
 
-def corrected(old: Magnetometer, modelled: Sequence[Active]) -> Magnetometer:
-    """S, b, T with the re-estimated corrections: bias and scale add to b and S exactly, a coupling C is -T."""
-    found = {effect.name: theta for effect, theta in modelled}
-    S, b, T = np.array(old.S), np.array(old.b_nT), old.T_nT_per_Am2
-    if "scale_misalignment" in found:
-        S = S + found["scale_misalignment"].reshape(3, 3)
-    if "bias" in found:
-        b = b + found["bias"]
-    if "torquer_coupling" in found:
-        T = (np.zeros((3, 3)) if T is None else np.array(T)) - found["torquer_coupling"].reshape(3, 3)
-    return dataclasses.replace(old, S=S, b_nT=b, T_nT_per_Am2=T)
-
-
 def calibration(closure: Closure) -> Calibration:
     """S, b and T as re-estimated beside what is named, with the covariance that the noise of the diagnosis gives.
 
@@ -178,7 +162,7 @@ def reestimated(closure: Closure) -> dict[str, dict[str, EffectParameter]]:
     for effect, theta in closure.modelled:
         spread = sigma[start : start + len(theta)]
         start += len(theta)
-        if effect.name not in _CALIBRATION:
+        if effect.name not in CALIBRATION:
             found[effect.name] = {
                 one.name: EffectParameter(float(value), float(wide) if np.isfinite(wide) else None, one.unit)
                 for one, value, wide in zip(effect.parameters, theta, spread, strict=True)

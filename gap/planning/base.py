@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from fluxtwin.gap.held_out.closing import corrected
-from fluxtwin.gap.problem.problem import Problem
+from fluxtwin.gap.problem.problem import Problem, corrected
 from fluxtwin.gap.records.diagnosis import Closure
 from fluxtwin.sim.base.types import FloatArray, TimeArray
 from fluxtwin.sim.earth import epoch, frames

@@ -30,6 +30,8 @@ from fluxtwin.sim.spacecraft.sensors.magnetometer import Magnetometer
 from fluxtwin.sim.telemetry.record import Telemetry, recorded_columns
 
 DEFAULT_MODELLED = ("bias", "scale_misalignment")
+CALIBRATION = (*DEFAULT_MODELLED, "torquer_coupling")
+"""Effects that S, b and T of a magnetometer say whole."""
 _OTHER_STAMPS = np.timedelta64(1, "D")  # so far beyond the model's ends a clock error may lead a trial
 _LARGEST_ERROR = 5.0  # times its sigma: what an attitude error is taken to be at the most
 
@@ -244,6 +246,30 @@ def pose(
     if not known.all():
         setting, axes = _with_pseudo_attitude(setting, used, known, budget)
     return Problem(used, Chain(setting), tuple(frozen), tuple(effects), budget, left_out, axes=axes)
+
+
+def calibrated(problem: Problem, modelled: Sequence[Active]) -> Problem:
+    """The problem with what was re-estimated of S, b and T in its magnetometer, and nothing left to correct there.
+
+    The effects of a sensor act through its matrix: their parameters are those of the corrected one.
+    """
+    instrument = corrected(problem.setting.instrument, modelled)
+    chain = Chain(replace(problem.setting, instrument=instrument))
+    kept = tuple(np.zeros_like(theta) if effect.name in CALIBRATION else theta for effect, theta in modelled)
+    return replace(problem, chain=chain, modelled_theta=kept)
+
+
+def corrected(old: Magnetometer, modelled: Sequence[Active]) -> Magnetometer:
+    """S, b, T with the re-estimated corrections: bias and scale add to b and S exactly, a coupling C is -T."""
+    found = {effect.name: theta for effect, theta in modelled}
+    S, b, T = np.array(old.S), np.array(old.b_nT), old.T_nT_per_Am2
+    if "scale_misalignment" in found:
+        S = S + found["scale_misalignment"].reshape(3, 3)
+    if "bias" in found:
+        b = b + found["bias"]
+    if "torquer_coupling" in found:
+        T = (np.zeros((3, 3)) if T is None else np.array(T)) - found["torquer_coupling"].reshape(3, 3)
+    return replace(old, S=S, b_nT=b, T_nT_per_Am2=T)
 
 
 def realigned(problem: Problem, beside: Sequence[Active] | None = None) -> Problem:

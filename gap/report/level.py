@@ -80,8 +80,9 @@ def assumed(budget: Budget, problem: Problem, noise: NoiseModel) -> dict[str, di
     """
     complete, sources = complete_budget(problem), budget.sources or {}
     declared_deg = None if budget.attitude_sigma_rad is None else float(np.degrees(budget.attitude_sigma_rad))
+    rounding_nT = (complete.lsb_nT or 0.0) / np.sqrt(12.0)
     pairs = {  # as given, and as found
-        "noise_nT": (budget.noise_nT, complete.noise_nT),
+        "noise_nT": (budget.noise_nT, float(np.sqrt(max(noise.sigma_nT**2 - rounding_nT**2, 0.0)))),
         "lsb_nT": (budget.lsb_nT, complete.lsb_nT),
         "attitude_sigma_deg": (declared_deg, float(np.degrees(noise.theta_rad))),
         "attitude_tau_s": (budget.attitude_tau_s, noise.tau_s),

@@ -17,7 +17,7 @@ from fluxtwin.gap.hypotheses.candidates import Candidate, candidate_of
 from fluxtwin.gap.hypotheses.perturbed_design import PerturbedDesign
 from fluxtwin.gap.linear.projection import SHARE_LEFT, Whitens, least_share
 from fluxtwin.gap.noise.whitening import Whitener
-from fluxtwin.gap.problem.problem import Problem, realigned
+from fluxtwin.gap.problem.problem import Problem, calibrated, realigned
 from fluxtwin.gap.selection.interval import likeliest_interval, likeliest_jump
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.effects.base import SignalEffect
@@ -162,7 +162,8 @@ def settled(problem: Problem) -> Problem:
     """The problem, linear about a first fit of what is modelled (a raw magnetometer may be off by thousands of nT).
 
     Plain least squares with the weight of large residuals limited (Huber), from three robust sigma on, so that single wrong
-    readings do not pull it. Rows without attitude point where the reading does as it is then calibrated.
+    readings do not pull it. S, b and T become the magnetometer's own. Rows without attitude point where the reading does as
+    it is then calibrated.
     """
     problem = realigned(problem)
     if not problem.modelled:
@@ -181,7 +182,7 @@ def settled(problem: Problem) -> Problem:
         current = realigned(dataclasses.replace(current, modelled_theta=tuple(theta for _, theta in moved)))
         if np.sqrt(np.mean((jacobian @ step) ** 2)) < 1e-3 * limit:
             break
-    return current
+    return calibrated(current, current.modelled_active)
 
 
 @dataclass(frozen=True, eq=False)

@@ -226,6 +226,24 @@ def test_a_coarser_step_is_found_from_the_codes(bench: Bench, factor: float) -> 
         assert coarse_steps(fine, lsb) is None
 
 
+def test_a_few_flips_stand_for_those_too_small_to_be_seen(bench: Bench) -> None:
+    """Flips of any bit, some four in a record: the noise hides those of low bits, and bits that none hit are no sign of it."""
+    lsb, rng = 10.0, np.random.default_rng(41)
+    reading, predicted = _codes(bench, lsb, 8)
+    code = np.rint(reading / lsb).astype(np.int64)
+    word = int(np.abs(code).max()).bit_length() + 1
+    found, made = [], []
+    for _ in range(40):
+        hit = rng.random(reading.shape) < 4.0 / reading.size
+        turned = lsb * (code ^ np.where(hit, np.left_shift(1, rng.integers(0, word, code.shape)), 0))
+        one = flipped_bits(turned, turned - predicted, np.abs(turned - predicted) > 6 * SIGMA_NT, lsb)
+        if one is not None and one.effect.bit is None:
+            found.append(one.theta[0])
+            made.append(np.mean(hit))
+    # Some hundred flips are seen: their number has an error of a tenth.
+    assert 0.7 < np.sum(found) / np.sum(made) < 1.3
+
+
 @pytest.mark.parametrize("bit", [6, 8, 11])
 def test_flipped_bits_are_told_from_other_spikes(bench: Bench, bit: int) -> None:
     lsb = 20.0

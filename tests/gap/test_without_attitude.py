@@ -131,8 +131,8 @@ def test_a_large_bias_and_matrix_are_found_from_the_size_of_the_field_alone(clos
         unit="nT",
         because="four steps of Gauss and Newton from zero leave 1e-5 of the 3700 nT of bias",
     )
-    b, S = (np.asarray(theta) for theta in problem.modelled_theta)
-    field = (np.eye(3) + S.reshape(3, 3)) @ np.array(record.mag_B_nT).T + b[:, None]
+    b, S = (np.asarray(one) for one in (problem.setting.instrument.b_nT, problem.setting.instrument.S))
+    field = (np.eye(3) + S) @ np.array(record.mag_B_nT).T + b[:, None]
     unit = field.T / np.linalg.norm(field, axis=0)[:, None]
     close(along(realigned(problem)), unit, atol=1e-6, unit="1", because="the pseudo attitudes fit it")
     true = (np.eye(3) + TRUE_S) @ np.array(record.mag_B_nT).T + TRUE_B_NT[:, None]

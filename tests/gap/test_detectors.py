@@ -227,7 +227,7 @@ def test_a_coarser_step_is_found_from_the_codes(bench: Bench, factor: float) -> 
 
 
 def test_a_few_flips_stand_for_those_too_small_to_be_seen(bench: Bench) -> None:
-    """Flips of any bit, some four in a record: the noise hides those of low bits, and bits that none hit are no sign of it."""
+    """Flips of any bit, some four in a record: the noise hides those of low bits; that none hit a bit is no sign of it."""
     lsb, rng = 10.0, np.random.default_rng(41)
     reading, predicted = _codes(bench, lsb, 8)
     code = np.rint(reading / lsb).astype(np.int64)

@@ -16,7 +16,7 @@ import numpy as np
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.telemetry.column_map_draft_header import Header, headers_of
-from fluxtwin.sim.telemetry.column_map_draft_time import recipe
+from fluxtwin.sim.telemetry.column_map_draft_time import falls, recipe
 from fluxtwin.sim.telemetry.column_map_words import POSITIONS, canonical
 from fluxtwin.sim.telemetry.formats.catalogue import READ, format_of
 from fluxtwin.sim.telemetry.quantities import BY_MAP_NAME
@@ -84,7 +84,7 @@ _KINDS = (
 )
 """What the name of three columns without their axes says; the first that fits counts."""
 _LIKELY = (
-    ("mag", re.compile(r"^(m|h|f)(_[a-z]*|$)|(^|_)(mg|mgn|fg|fm|bf|mm\d?)(_|$)")),
+    ("mag", re.compile(r"^(m|h|f)(_[a-z]*|$)|(^|_)(mg|mgn|fg|fm|bf|mm\d?|raw)(_|$)")),
     ("velocity", re.compile(r"^(km_?s|m_?s|kmps|mps)$|(^|_)state_?v(_|$)")),
     ("position", re.compile(r"^(km|m|)$|(^|_)(p|sc|sat|xyz|state|cis|geo|coord[a-z]*|loc[a-z]*|s)(_|$)")),
     ("rate", re.compile(r"(^|_)(om|g|gy|imu)(_|$)")),
@@ -108,11 +108,16 @@ _SIZES = {
 """Typical sizes of a vector by unit: a guess where the name says none."""
 _SUNLIT = re.compile(r"sun_?(lit|light|flag|presen)|in_sun|illum|(?P<shadow>eclipse|shadow|umbra)")
 _CURRENT = re.compile(
-    r"curr|(^|_)cur(_|$)|(?<!st)amp(s|ere)?(_|$)|^i_?(sa|bat|load|bus)|(^|_)i_|_i(_|$)|_m?a$|duty|pwm|heater|load|(^|_)on(_|$)|enabled"
+    r"curr|(^|_)cur(_|$)|(?<!st)amp(s|ere)?(_|$)|^i_?(sa|sol|bat|load|bus)|(^|_)i_|_i(_|$)|_m?a$|duty|pwm|heater|load|(^|_)on(_|$)|enabled"
 )
 _COUNTS = re.compile(r"cnt|count|adc|(^|_)raw(_|$)", re.IGNORECASE)
 _MOST_A = 30.0
 """More than a small spacecraft has in one wire: then it is in mA."""
+_ALIKE = 0.02
+"""Share of its changes that a linear function of one magnetometer leaves of another: noise, and a few hundred nT of currents
+nearby. Of position or sun it leaves 0.03 to 0.8 in the packaged scenarios."""
+_FEWEST = 50  # rows, for twelve unknowns
+_ELEMENTS = (".tle", ".3le")
 _TABLES = (".csv", ".csv.gz", ".nc", ".nc4", ".h5", *READ)
 _FILLS = (-9999.0, -99999.0, -999.0, 9999.0, 99999.0, 65535.0, 32767.0, -32768.0, 1e31, -1e31)
 """What programs write where there is nothing."""
@@ -121,7 +126,7 @@ _FILLS = (-9999.0, -99999.0, -999.0, 9999.0, 99999.0, 65535.0, 32767.0, -32768.0
 def draft(paths: Sequence[Path | str]) -> str:
     """The text of a column map for the files, one `[[file]]` each; guesses stand behind comments.
 
-    Raises BadInput for a file that cannot be read, or where no magnetometer or no time is found.
+    What is not found stands there as a comment that says how to write it. Raises BadInput for a file that cannot be read.
     """
     tables = [one for path in paths for one in _inside(Path(path))]
     headers = _alike([header for path in tables for header in headers_of(path)])
@@ -129,33 +134,39 @@ def draft(paths: Sequence[Path | str]) -> str:
         "# A first column map. Every guess is marked: confirm or correct it, and delete the comment.",
         f"# Then: fluxtwin check {shlex.quote(_shown(headers))} --map THIS.toml",
     ]
-    seen: set[str] = set()
-    for header in headers:
-        try:
-            lines = _file(header, named=len(tables) > 1, seen=seen)
-        except BadInput as error:
-            if len(headers) == 1:
-                raise
-            what = header.sheet or header.path.name
-            lines = [f"# {what}: left out, {str(error).partition(': ')[2].partition(';')[0]}"]
-        parts += ["", *lines]
-    if not seen:
-        listed = ", ".join(dict.fromkeys(header.path.name for header in headers))
-        aside = [part.strip("# ") for part in parts if ": left out, no " in part]
-        raise BadInput(
-            "; ".join(["no three columns look like a magnetometer", *aside]),
-            where=listed,
-            wanted='names such as mag_x mag_y mag_z; or write `mag = { from = ["a", "b", "c"], unit = "nT" }` yourself',
-        )
-    if "position" not in seen:
-        missing = (
-            'no positions were found: write `position` for columns that are not used, or here `tle = "satellite.tle"`'
-        )
-        parts.insert(2, f"{CONFIRM} {missing}")
+    blocks, seen = _blocks(headers, named=len(tables) > 1, by_size=False)
+    if "mag" not in seen:
+        blocks, seen = _blocks(headers, named=len(tables) > 1, by_size=True)
+    parts += blocks
+    elements = [] if "position" in seen else _elements(paths)
+    if len(elements) == 1:
+        parts[2:2] = [f"{CONFIRM} that positions come from these two-line elements", f'tle = "{elements[0]}"']
+    elif "position" not in seen:
+        here = f", of {', '.join(elements)}" if elements else ""
+        missing = "no positions were found: write `position` for columns that are not used, or here"
+        parts.insert(2, f'{CONFIRM} {missing} `tle = "satellite.tle"`{here}')
     if "mag" not in seen:
         mag = 'mag = { from = ["a", "b", "c"], unit = "nT" }'
         parts.insert(2, f"{CONFIRM} no three columns look like a magnetometer: write `{mag}` with its [file.columns]")
     return "\n".join(parts) + "\n"
+
+
+def _blocks(headers: list[Header], *, named: bool, by_size: bool) -> tuple[list[str], set[str]]:
+    """The lines of all [[file]], and the quantities found; by_size: whether size alone may make a magnetometer."""
+    parts, seen = list[str](), set[str]()
+    for header in headers:
+        known = len(seen)
+        lines, timed = _file(header, named=named, seen=seen, by_size=by_size)
+        if len(headers) > 1 and not timed and len(seen) == known:
+            lines = [f"# {header.sheet or header.path.name}: left out, no column looks like time or is known"]
+        parts += ["", *lines]
+    return parts, seen
+
+
+def _elements(paths: Sequence[Path | str]) -> list[str]:
+    """Names of the files of two-line elements beside the tables."""
+    folders = dict.fromkeys(path if path.is_dir() else path.parent for path in map(Path, paths))
+    return sorted(one.name for folder in folders for one in folder.iterdir() if one.suffix.lower() in _ELEMENTS)
 
 
 def _alike(headers: list[Header]) -> list[Header]:
@@ -193,7 +204,8 @@ def _shown(headers: list[Header]) -> str:
     return str(headers[0].path if alone else headers[0].path.parent)
 
 
-def _file(header: Header, *, named: bool, seen: set[str]) -> list[str]:
+def _file(header: Header, *, named: bool, seen: set[str], by_size: bool) -> tuple[list[str], bool]:
+    """The lines of one [[file]], and whether it has a time."""
     lines = ["[[file]]"]
     if named:
         lines.append(f"path = {json.dumps(header.pattern or header.path.name)}")
@@ -204,18 +216,33 @@ def _file(header: Header, *, named: bool, seen: set[str]) -> list[str]:
             f"{CONFIRM} that the pieces may overlap, so that rows are sorted and repeated ones dropped",
             "sort = true",
         ]
-    how, used, doubt = recipe(header)
-    lines += [f"{CONFIRM} {doubt}"] * bool(doubt) + [f"time = {how}"]
+    try:
+        how, used, doubt = recipe(header)
+        lines += [f"{CONFIRM} {doubt}"] * bool(doubt) + [f"time = {how}"]
+    except BadInput as error:
+        how, used = "", set[str]()
+        lines.append(
+            f"{CONFIRM} {str(error).partition(': ')[2].partition(';')[0]}: write it, by one of the recipes for time"
+        )
+        lines.append('# time = { recipe = "iso", columns = "NAME" }')
+    if not header.pattern and any(name in header.values and falls(header.values[name]) for name in used):
+        lines += [f"{CONFIRM} that rows are out of order, or repeated", "sort = true"]
     lines += _rows_that_count(header)
     lines.append("[file.columns]")
     free, here = [name for name in header.names if name not in used], dict[str, list[str]]()
     head, apart = list(lines), list[str]()
-    for quantity, columns, keys, doubts in _quantities(header, free):
+    for quantity, columns, keys, doubts in _quantities(header, free, by_size=by_size):
         source = columns[0] if len(columns) == 1 else columns
         inner = ", ".join(
             [f"from = {json.dumps(source)}", *(f"{key} = {json.dumps(value)}" for key, value in keys.items())]
         )
-        if quantity == "mag" and "mag" in seen and "mag2" not in seen and "mag" not in here:
+        if (
+            quantity == "mag"
+            and "mag" in seen
+            and "mag2" not in seen
+            and ("mag" not in here or _left(header, here["mag"], columns)[0] > 1.0)
+        ):
+            doubts = [text.replace("mag:", "mag2:") for text in doubts]
             quantity, doubts = "mag2", ["mag2: that it is of another sensor", *doubts]
         if quantity in seen:
             another = f"; if of another sensor: mag2 = {{ {inner} }}" if quantity == "mag" else ""
@@ -237,7 +264,29 @@ def _file(header: Header, *, named: bool, seen: set[str]) -> list[str]:
     rest = [name for name in header.names if name not in used]
     if rest:
         lines.append(f"# not used: {', '.join(rest[:30])}{' ...' if len(rest) > 30 else ''}")
-    return lines + apart
+    return lines + apart, bool(how)
+
+
+def _left(header: Header, columns: list[str], others: list[str]) -> tuple[float, float]:
+    """What a linear function of the one vector leaves of the other, rms: in its steps, and as a share of its changes.
+
+    Below a step it is the same reading in other units or axes, or corrected; a share well below 1 is the same field.
+    """
+    one, two = (_stacked(header, names) for names in (columns, others))
+    both = (
+        np.isfinite(one).all(axis=1)
+        & np.isfinite(two).all(axis=1)
+        & ~np.isin(np.hstack([one, two]), _FILLS).any(axis=1)
+    )
+    if both.sum() < _FEWEST:
+        return 0.0, np.inf
+    one, two = one[both], two[both] - two[both].mean(axis=0)
+    design = np.hstack([one - one.mean(axis=0), np.ones((len(one), 1))])
+    rest = two - design @ np.linalg.lstsq(design, two, rcond=None)[0]
+    step = np.abs(np.diff(two, axis=0))
+    least = float(step[step > 1e-9 * np.abs(two).max(initial=0.0)].min(initial=np.inf))
+    size = float(np.sqrt(np.mean(rest**2)))
+    return size / least, size / max(float(np.sqrt(np.mean(two**2))), np.finfo(float).tiny)
 
 
 def _elsewhere(header: Header, columns: list[str], others: list[str]) -> bool:
@@ -249,7 +298,7 @@ def _elsewhere(header: Header, columns: list[str], others: list[str]) -> bool:
 _Found = tuple[str, list[str], dict[str, object], list[str]]
 
 
-def _quantities(header: Header, free: list[str]) -> list[_Found]:
+def _quantities(header: Header, free: list[str], *, by_size: bool) -> list[_Found]:
     """Quantity, columns, keys of the map, doubts."""
     out: list[_Found] = []
     ours = [name for name in free if not (_NO_STATE.search(_stem([name])) or "cmd" in name.lower())]
@@ -260,24 +309,14 @@ def _quantities(header: Header, free: list[str]) -> list[_Found]:
         free = [n for n in free if n not in attitude[1] and not (stem is not None and n[:-2] == stem)]
     triples = _triples(header, free)
     kinds = [_kind(_stem(columns)) for columns in triples]
-    by_file = _kind((header.sheet or header.path.stem).lower())
     for columns, kind in zip(triples, kinds, strict=True):
         if kind is not None:
             out.append(_vector(header, kind, columns))
     for columns in (columns for columns, kind in zip(triples, kinds, strict=True) if kind is None):
-        seen = [one[0] for one in out]
-        likely = _likely(header, columns, seen)
-        by_name = likely is not None and _stem(columns) not in ("", "km", "m")
-        if by_file is not None and by_file not in seen and not by_name:
-            likely = by_file
+        likely, said = _unnamed(header, columns, out, by_size=by_size)
         if likely is not None:
             quantity, _, keys, doubts = _vector(header, likely, columns)
-            said = (
-                f"that {', '.join(columns)} are one"
-                if likely != by_file
-                else "that it is one (by the name of the file)"
-            )
-            out.append((quantity, columns, keys, [f"{quantity}: {said}", *doubts]))
+            out.append((quantity, columns, keys, [f"{quantity}: that {said}", *doubts]))
     if not any(one[0] == "position" for one in out):
         out += _place(header, ours)
     taken = {name for _, columns, _, _ in out for name in columns}
@@ -295,7 +334,7 @@ def _quantities(header: Header, free: list[str]) -> list[_Found]:
             out.append(
                 ("temperature", [name], {"unit": unit}, [f"the unit of {name}, and that it is the magnetometer's"])
             )
-        elif _CURRENT.search(low):
+        elif _CURRENT.search(low) or header.units.get(name) in ("A", "mA"):
             out.append(_current(header, name))
         elif (lit := _SUNLIT.search(low)) is not None and _is_switch(header.values[name]):
             dark: dict[str, object] = {"scale": -1, "offset": 1} if lit["shadow"] else {}
@@ -305,6 +344,33 @@ def _quantities(header: Header, free: list[str]) -> list[_Found]:
         words = {"attitude": "relative_to", "position": "frame", "velocity": "frame"}
         out = [(name, columns, own | {words[name]: header.frame}, []) for name, columns, own, _ in out]
     return sorted(out, key=lambda one: one[0] != "mag")
+
+
+def _unnamed(header: Header, columns: list[str], out: list[_Found], *, by_size: bool) -> tuple[str | None, str]:
+    """What three columns may be whose name does not say it, beside what was found, and why."""
+    seen = {one[0]: one[1] for one in out}
+    by_file = _kind((header.sheet or header.path.stem).lower())
+    likely = _likely(header, columns, list(seen))
+    if likely is not None and _stem(columns) not in ("", "km", "m"):
+        return likely, f"{', '.join(columns)} are one"
+    if by_file is not None and by_file not in seen:
+        return by_file, "it is one (by the name of the file)"
+    if (
+        likely is None
+        and "mag" in seen
+        and _is_field(header, columns)
+        and _left(header, seen["mag"], columns)[1] < _ALIKE
+    ):
+        return "mag", f"{', '.join(columns)} are one (they change as the other does)"
+    if likely is None and by_size and "mag" not in seen and _is_field(header, columns):
+        return "mag", f"{', '.join(columns)} are one (by their size)"
+    return likely, f"{', '.join(columns)} are one"
+
+
+def _is_field(header: Header, columns: list[str]) -> bool:
+    """Whether a vector has the size of the Earth's field in some unit, and turns."""
+    size, turns = _size(header, columns), np.nanmin(_stacked(header, columns), axis=0) < 0.0
+    return bool(turns.any() and any(low <= size <= high for _, low, high in _SIZES["mag"]))
 
 
 def _kind(stem: str) -> str | None:
@@ -350,13 +416,15 @@ def _current(header: Header, name: str) -> _Found:
     """Of the array, of the battery, or of anything else that a field may follow."""
     low = name.lower()
     milli = float(np.nanmax(np.abs(header.values[name]))) > _MOST_A
-    keys: dict[str, object] = {"unit": "mA" if milli or re.search(r"(^|_)ma(_|$)", low) else "A"}
+    stated = header.units.get(name) or next(iter(re.findall(r"(?:^|_)(m?a)(?:_|$)", re.sub(r"\W+", "_", low))), "")
+    unit = "mA" if stated.lower() == "ma" or (milli and stated.lower() != "a") else "A"
     if re.search(r"bat", low):
         doubt = f"{name}: the unit, and that it is positive when charging (else scale = -1)"
-        return "battery_current", [name], keys, [doubt]
-    if re.search(r"solar|array|panel|(^|_)i?sa(_|$)", low):
-        return "array_current", [name], keys, [f"{name}: the unit, and that it is the solar array's"]
-    return f"driver_{re.sub(r'[^a-z0-9]+', '_', low).strip('_')}", [name], {}, []
+        return "battery_current", [name], {"unit": unit}, [doubt]
+    if re.search(r"solar|array|panel|(^|_)i?sa(_|$)|^i_?sol", low):
+        return "array_current", [name], {"unit": unit}, [f"{name}: the unit, and that it is the solar array's"]
+    keys: dict[str, object] = {"unit": stated.replace("ma", "mA").replace("a", "A")} if stated in ("ma", "a") else {}
+    return f"driver_{re.sub(r'[^a-z0-9]+', '_', low).strip('_')}", [name], keys, []
 
 
 def _place(header: Header, free: list[str]) -> list[_Found]:

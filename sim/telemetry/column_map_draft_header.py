@@ -38,7 +38,7 @@ class Header:
     units: dict[str, str] = field(default_factory=dict)
     rows: int = 0
     texts: dict[str, list[str]] = field(default_factory=dict)
-    """Some cells of the columns of a CSV as they stand."""
+    """Some cells of the columns of text as they stand."""
     sheet: str | None = None
     pattern: str = ""
     """Of the names of several files with this header."""
@@ -72,7 +72,7 @@ def header_of(path: Path, sheet: str | None = None) -> Header:
 def _look(csv: CsvFile, name: str, header: Header) -> None:
     """Whether a column holds numbers or stamps."""
     text = csv.text(name)[:_SAMPLE]
-    header.texts[name] = [cell.decode("utf-8", "replace").strip() for cell in text[:20].tolist() if cell.strip()]
+    header.texts[name] = _words(text)
     if any(re.match(rb"\s*\d{4}-\d\d-\d\d[T ]\d\d:", bytes(cell)) for cell in text[:20]):
         header.iso.append(name)
         return
@@ -90,6 +90,11 @@ def _look(csv: CsvFile, name: str, header: Header) -> None:
         header.values[name] = listed
 
 
+def _words(cells: np.ndarray) -> list[str]:
+    """Some of the cells, an array of bytes, that are not blank."""
+    return [cell.decode("utf-8", "replace").strip() for cell in cells[:20].tolist() if cell.strip()]
+
+
 def _table_header(path: Path, table: Table, sheet: str | None) -> Header:
     found = Header(path, table.names(), units=dict(table.units), sheet=sheet, frame=table.attributes.get("frame"))
     for name, value in table.columns.items():
@@ -97,6 +102,7 @@ def _table_header(path: Path, table: Table, sheet: str | None) -> Header:
         if value.dtype.kind == "M":
             found.cf.append(name)
         elif value.dtype.kind == "S":
+            found.texts[name] = _words(value)
             found.iso += (
                 [name] if any(re.match(rb"\s*\d{4}-\d\d-\d\d[T ]\d\d:", cell) for cell in value[:20].tolist()) else []
             )

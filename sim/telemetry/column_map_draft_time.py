@@ -18,8 +18,8 @@ _LIKELY = re.compile(
     r"time|date|utc|tai|stamp|epoch|unix|zeit|^t($|\W|_)|^ts|sec|week|tow|sow|clock|sclk|obt|t_?tag|(^|_)(met|jd|sod|et)(_|$)",
     re.IGNORECASE,
 )
-_WEEK = re.compile(r"week|(^|_)(gps_?)?(wn|wno|wk)(_|$)|(^|_)gpsw(_|$)", re.IGNORECASE)
-_OF_WEEK = re.compile(r"tow|sow|week.*sec|sec.*week|seconds?_?of|gps_?s(ec(onds?)?)?(_|$)", re.IGNORECASE)
+_WEEK = re.compile(r"week|(^|_)sem(_|$)|(^|_)(gps_?)?(wn|wno|wk)(_|$)|(^|_)gpsw(_|$)", re.IGNORECASE)
+_OF_WEEK = re.compile(r"tow|sow|(^|_)sec_sem|week.*sec|sec.*week|seconds?_?of|gps_?s(ec(onds?)?)?(_|$)", re.IGNORECASE)
 _WEEK_S = 604800.0
 _GROUND = re.compile(r"rece|ground|arriv|download|(^|_)rx(_|$)", re.IGNORECASE)
 _COUNTS = (
@@ -46,6 +46,7 @@ _DATES = (
 _TIMES = ("%H:%M:%S.%f", "%H:%M:%S")
 _ENDS = ("", "Z", " %z", "%z")
 _BETWEEN = (" ", "T", "-", "_")
+_FEW = 0.01  # steps back, of all: a packet that was sent twice, not a number that swings
 
 
 def recipe(header: Header) -> tuple[str, set[str], str]:
@@ -58,7 +59,7 @@ def recipe(header: Header) -> tuple[str, set[str], str]:
     for name in sorted(header.iso, key=lambda one: not _LIKELY.search(one)):
         ground = f"that {name} is the spacecraft's own stamp, not that of the ground" if _GROUND.search(name) else ""
         return f'{{ recipe = "iso", columns = {json.dumps(name)} }}', {name}, ground
-    written = _text_format(header.texts)
+    written = text_format(header.texts)
     if written is not None:
         names, form, doubt = written
         return f'{{ recipe = "text", columns = {json.dumps(names)}, format = {json.dumps(form)} }}', set(names), doubt
@@ -90,7 +91,8 @@ def _stated(numbers: Mapping[str, FloatArray]) -> tuple[str, set[str], str] | No
     """A recipe that the name of a column states and its size confirms."""
     for how, word, first, last, doubt in _COUNTS:
         for name, value in numbers.items():
-            if re.search(word, name, re.IGNORECASE) and first < float(np.nanmedian(value)) < last and _runs(value):
+            of_size = first < float(np.nanmedian(value)) < last and (_runs(value) or falls(value))
+            if re.search(word, name, re.IGNORECASE) and of_size:
                 return f'{{ recipe = "{how}", columns = {json.dumps(name)} }}', {name}, doubt.format(name)
     return None
 
@@ -127,7 +129,13 @@ def _runs(value: FloatArray) -> bool:
     return bool(np.all(step >= 0.0) and np.mean(step > 0.0) > 0.5) if step.size else True
 
 
-def _text_format(texts: Mapping[str, Sequence[str]]) -> tuple[list[str], str, str] | None:
+def falls(value: FloatArray) -> bool:
+    """Whether the numbers run on but for a few steps back, as stamps of rows that are out of order."""
+    step = np.diff(value[np.isfinite(value)])
+    return bool(step.size and 0.0 < np.mean(step < 0.0) < _FEW and np.mean(step > 0.0) > 0.5)
+
+
+def text_format(texts: Mapping[str, Sequence[str]]) -> tuple[list[str], str, str] | None:
     """The columns, their format as strptime has it, and what is doubtful; None where no text is a stamp.
 
     texts: some cells of every column of text.

@@ -54,7 +54,7 @@ def parse_iso(
         raise BadInput(
             f"time in row {row + 1} is {raw!r}{leap}",
             where=where,
-            wanted="ISO 8601 UTC, as 1978-07-24T06:00:00.5Z",
+            wanted=f"ISO 8601 UTC, as 1978-07-24T06:00:00.5Z{_other_form(raw, column)}",
         )
     if zone is not None:
         local = np.flatnonzero(known)[[one is None for one in stated]]
@@ -65,6 +65,17 @@ def parse_iso(
             f"column {column} has no Z and no zone{rows}: taken as UTC (for local time, a column map with time.zone)"
         )
     return stamps
+
+
+def _other_form(stamp: str, column: str) -> str:
+    """The recipe of a column map that reads a stamp of another usual form; empty where none does."""
+    from fluxtwin.sim.telemetry.column_map_draft_time import text_format
+
+    found = text_format({column: [stamp]})
+    if found is None:
+        return ""
+    columns = ", ".join(f'"{name}"' for name in column.split(" and "))
+    return f'; or in a column map: time = {{ recipe = "text", columns = [{columns}], format = "{found[1]}" }}'
 
 
 def _existing(stamp: str) -> np.datetime64:

@@ -191,10 +191,74 @@ def test_a_second_magnetometer_is_left_out_with_the_line_that_takes_it_in(tmp_pa
     assert np.allclose(read_telemetry(data, column_map=path).mag2_B_nT, 2.0 * MAG, atol=1e-6, rtol=0)
 
 
-def test_a_file_without_magnetometer_is_refused_in_words(tmp_path: Path) -> None:
+def test_a_second_sensor_is_taken_in_and_the_readings_of_the_first_in_other_axes_are_not(tmp_path: Path) -> None:
+    """Another sensor has a noise of its own, whatever its columns are called; a rate is no magnetometer."""
+    noise = np.random.default_rng(3).normal(0.0, 30.0, (2, *MAG.shape))
+    turned = np.round(Rotation.from_rotvec([0.3, 2.0, -1.0]).apply(MAG + noise[1]) / 4.0 + np.array([300, -200, 100]))
+    first = {"unix_s": UNIX, **triple("B_int_1 B_int_2 B_int_3", np.round((MAG + noise[0]) * 1e-3, 2))}
+    text = draft([table(tmp_path / "a.csv", first | triple("mat_1 mat_2 mat_3", turned))])
+    assert 'mag2 = { from = ["mat_1", "mat_2", "mat_3"], unit = "nT" }' in text
+    assert f"{CONFIRM} mag2: that it is of another sensor" in text
+    own = Rotation.from_rotvec([0.3, 2.0, -1.0]).apply(np.round((MAG + noise[0]) * 1e-3, 2)) * 250.0
+    assert "\nmag2 =" not in draft([table(tmp_path / "b.csv", first | triple("cor_1 cor_2 cor_3", own))])
+    turns = 2e4 * np.random.default_rng(4).normal(size=MAG.shape)
+    assert "\nmag2 =" not in draft([table(tmp_path / "c.csv", first | triple("xx_1 xx_2 xx_3", turns))])
+
+
+def test_a_draft_is_written_whatever_is_understood_and_says_what_to_fill_in(tmp_path: Path) -> None:
     data = table(tmp_path / "a.csv", {"time": UNIX, "volts": UNIX * 0.0})
-    with pytest.raises(BadInput, match="no three columns look like a magnetometer"):
-        draft([data])
+    text = draft([data])
+    assert 'recipe = "unix_s"' in text and f"{CONFIRM} no three columns look like a magnetometer" in text
+    assert "# not used: volts" in text
+    shuffled = {"n": np.random.default_rng(1).permutation(UNIX), **triple("mag_x mag_y mag_z", MAG)}
+    text = draft([table(tmp_path / "b.csv", shuffled)])
+    assert f"{CONFIRM} no column looks like time: write it" in text and '\n# time = { recipe = "iso", columns' in text
+    assert 'mag = { from = ["mag_x", "mag_y", "mag_z"], unit = "nT" }' in text and "# not used: n" in text
+    (tmp_path / "m.toml").write_text(text.replace("# time = ", "time = ").replace("iso", "unix_s").replace("NAME", "n"))
+    assert load_column_map(tmp_path / "m.toml").file[0].columns["mag"].unit == "nT"
+    (tmp_path / "m.toml").write_text(text)
+    with pytest.raises(BadInput, match="time"):
+        load_column_map(tmp_path / "m.toml")
+
+
+def test_elements_beside_the_tables_give_the_positions(tmp_path: Path) -> None:
+    data = table(tmp_path / "a.csv", {"unix_s": UNIX, **triple("gas_x gas_y gas_z", MAG * 1e-3)})
+    assert 'tle = "satellite.tle"' in draft([data])
+    (tmp_path / "s.tle").write_text(
+        "1 64559U 25135AH  25353.22331108  .00001201  00000+0  12504-3 0  9991\n"
+        "2 64559  97.7592 104.5218 0002960 121.2529 238.8980 14.91647938 27010\n"
+    )
+    (tmp_path / "m.toml").write_text(draft([data]))
+    record = read_telemetry(data, column_map=tmp_path / "m.toml")  # of another year: a notice, no error
+    assert record.r_N_km is not None and np.allclose(record.mag_B_nT, MAG, atol=1e-6)
+    assert f"{CONFIRM} mag: that gas_x, gas_y, gas_z are one (by their size)" in draft([data])
+    (tmp_path / "other.tle").write_text("")
+    assert 'here `tle = "satellite.tle"`, of other.tle, s.tle' in draft([data])
+
+
+def test_a_workbook_with_names_of_months_and_a_table_of_rows_out_of_order(tmp_path: Path) -> None:
+    pytest.importorskip("openpyxl")
+    words = pd.DatetimeIndex(TIME)
+    stamps = {"Date": words.strftime("%d-%b-%Y"), "UTC": words.strftime("%H:%M:%S.%f").str[:-3]}
+    currents = {"I_COOL_mA": UNIX % 7.0 * 100.0, "I_SA_mA": UNIX % 5.0, "T_MTM": UNIX * 0.0 + 20.0}
+    with pd.ExcelWriter(tmp_path / "all.xlsx") as book:
+        raw = triple("RAW_X RAW_Y RAW_Z", np.round(MAG * 0.075))
+        pd.DataFrame(stamps | raw).to_excel(book, sheet_name="MTM", index=False)
+        pd.DataFrame(stamps | currents).to_excel(book, sheet_name="PWR", index=False)
+    text = draft([tmp_path / "all.xlsx"])
+    assert 'columns = ["Date", "UTC"], format = "%d-%b-%Y %H:%M:%S.%f"' in text
+    assert 'driver_i_cool_ma = { from = "I_COOL_mA", unit = "mA" }' in text and "counts by their name" in text
+    (tmp_path / "m.toml").write_text(text)
+    record = read_telemetry(tmp_path / "all.xlsx", column_map=tmp_path / "m.toml")
+    assert np.array_equal(record.time, TIME) and np.allclose(record.mag_B_nT, np.round(MAG * 0.075))
+    j2000 = GPS + 315964800.0 + 32.184 + 19.0 - 946728000.0  # TT of GPS, from noon of 2000-01-01
+    twice = np.r_[np.arange(150), np.arange(140, 200)]
+    rows = {"t_j2000": j2000[twice], **triple("magX magY magZ", MAG[twice])}
+    (tmp_path / "m.toml").write_text(text := draft([table(tmp_path / "a.csv", rows)]))
+    assert f"{CONFIRM} that rows are out of order, or repeated\nsort = true" in text
+    assert np.abs(
+        read_telemetry(tmp_path / "a.csv", column_map=tmp_path / "m.toml").time - TIME
+    ).max() < np.timedelta64(1, "us")
 
 
 def test_what_is_missing_is_marked_beside_what_was_found(tmp_path: Path) -> None:

@@ -207,6 +207,18 @@ def test_a_wrong_recipe_is_answered_in_words(tmp_path: Path, recipe: str, said: 
         read(tmp_path, recipe, ["2026-03-01T00:00:00Z"], ["0"])
 
 
+def test_a_stamp_of_another_form_is_refused_with_the_recipe_that_reads_it(tmp_path: Path) -> None:
+    cells = [["11-Mar-2022", "12-Mar-2022"], ["06:40:00.250", "06:40:00.250"]]
+    with pytest.raises(BadInput) as caught:
+        read(tmp_path, 'recipe = "iso" BOTH', *cells)
+    recipe = str(caught.value).partition("in a column map: time = { ")[2].removesuffix(" }")
+    assert recipe == 'recipe = "text", columns = ["c0", "c1"], format = "%d-%b-%Y %H:%M:%S.%f"'
+    found = read(tmp_path, recipe.replace('columns = ["c0", "c1"], ', "") + " BOTH", *cells)
+    assert found.tolist() == np.array(["2022-03-11T06:40:00.25", "2022-03-12T06:40:00.25"], "datetime64[ns]").tolist()
+    with pytest.raises(BadInput, match=r"06:00:00\.5Z$"):
+        read(tmp_path, 'recipe = "iso" BOTH', ["soon", "soon"], ["06:40", "06:41"])
+
+
 def test_every_recipe_is_described(root: Path) -> None:
     text = (root / "docs" / "telemetry.md").read_text(encoding="utf-8")
     assert [name for name in time_recipes.NAMES if f"`{name}`" not in text] == []

@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2, t
 
-from fluxtwin.gap.channels.sun_nadir import _weigh, open_channel
+from fluxtwin.gap.channels.sun_nadir import _by_signs, _weigh, open_channel
 from fluxtwin.gap.selection.criterion import worth
 from fluxtwin.scenarios.hcmm import mission
 from fluxtwin.sim.base.errors import BadInput, NoAnswer
@@ -51,6 +51,15 @@ def test_the_turn_of_head_1_comes_back_where_it_can_be_seen():
     normal = np.array([np.cos(np.radians(59.0)), np.sin(np.radians(59.0))])
     found = normal @ [named.parameters["turn_x"][0], named.parameters["turn_y"][0]]
     assert found == pytest.approx(-normal @ [0.3, 0.52], abs=0.08)  # 0.5 deg steps of the head over four short passes
+
+
+def test_passes_of_any_size_explain_by_chance_as_often_as_is_said():
+    """Errors of eleven passes, one ten times the next, in six directions: the chance is that of exchanged signs."""
+    rng, size = np.random.default_rng(5), np.geomspace(1.0, 10.0, 11)[:, None]
+    chance = np.array([_by_signs(size * rng.standard_normal((11, 6)), np.eye(6)) for _ in range(300)])
+    for level in (0.05, 0.2, 0.5):
+        assert abs(np.mean(chance <= level) - level) < 4.0 * np.sqrt(level * (1.0 - level) / 300)
+    assert _by_signs(size * np.ones((11, 6)), np.eye(6)) < 2.0 * 2.0**-10
 
 
 def test_a_reported_orbit_that_is_wrong_is_no_fault_of_a_sensor():

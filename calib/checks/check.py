@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -28,10 +28,11 @@ from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.earth.field import FieldModel
 from fluxtwin.sim.earth.tle import read_elements
 from fluxtwin.sim.telemetry.build import record
-from fluxtwin.sim.telemetry.column_map import ColumnMap, elements_path, load_column_map, mapped_table
+from fluxtwin.sim.telemetry.column_map import ColumnMap, ColumnSpec, elements_path, load_column_map, mapped_table
 from fluxtwin.sim.telemetry.columns import FileTable
 from fluxtwin.sim.telemetry.formats.ccsds import is_message
 from fluxtwin.sim.telemetry.layouts import recognised
+from fluxtwin.sim.telemetry.quantities import BY_MAP_NAME
 from fluxtwin.sim.telemetry.record import Telemetry
 from fluxtwin.sim.telemetry.selection import Selection, selection
 from fluxtwin.sim.telemetry.telemetry_files import read_table, write_telemetry
@@ -53,7 +54,7 @@ def check_telemetry(
     origin: what positions and attitude were made from; None: both were recorded relative to GCRS. onboard: what is said to
     have been applied to the readings on board.
     """
-    stuck, faulty = check_stuck(telemetry)
+    stuck, faulty = check_stuck(telemetry, origin)
     motion = check_motion(telemetry)
     findings = [*stuck, *motion, *check_readings(telemetry)]
     if not any(finding.severity == "trap" and finding.code in POSITION_TRAPS for finding in motion):
@@ -156,12 +157,14 @@ def _read(
 def _origin(path: Path | str, table: FileTable, column_map: Path | str | None, tle: Path | str | None) -> Origin:
     """What the stamps had a part in, from the columns of a file or from its map."""
     loaded: ColumnMap | None = None if column_map is None else load_column_map(column_map)
+    stored: dict[str, Any] = {}
     if loaded is not None and column_map is not None:
         specs = {name: spec for entry in loaded.file for name, spec in entry.columns.items()}
         position, attitude = specs.get("position"), specs.get("attitude")
         fixed = position is not None and position.axes == "ITRS"
         relative, first = (None, False) if attitude is None else (attitude.reference, attitude.order == "wxyz")
         tle = elements_path(path, loaded, Path(column_map).parent, tle) if position is None else None
+        stored = {"conjugated": attitude is not None and attitude.sense == "conjugate", **_stored(specs.get("mag"))}
     else:
         fixed, first = "ecef_x_km" in table.columns, False
         relative = "orbital" if "yaw_deg" in table.columns else None
@@ -173,7 +176,18 @@ def _origin(path: Path | str, table: FileTable, column_map: Path | str | None, t
         references.get(relative or "", "GCRS"),
         first,
         None if tle is None or is_message(Path(tle), "OEM") else read_elements(tle),
+        **stored,
     )
+
+
+def _stored(mag: ColumnSpec | None) -> dict[str, Any]:
+    """What a map made of the stored readings, for `Origin`."""
+    if mag is None:
+        return {}
+    known = not isinstance(mag.scale, list) and not np.any(mag.offset)
+    unit_nT = BY_MAP_NAME["mag"].map_units.get(mag.unit or "", 1.0)
+    turned = None if mag.matrix is None else tuple(map(tuple, mag.matrix))
+    return {"turned": turned, "nT_per_count": float(np.asarray(mag.scale)) * unit_nT if known else None}
 
 
 def repair(path: Path | str, out: Path | str, *, max_samples: int | None = None) -> CheckReport:

@@ -52,6 +52,8 @@ ROWS_AT_ONCE = 10_000
 """Shifts are tried together up to so many rows: a call for each would cost more than the field itself."""
 BLOCKS = 100
 """Means over so many stretches of the record are compared: 14 minutes each in a day."""
+TT_TAI_S = 32.184
+"""Terrestrial time less TAI, by definition (IAU 1991, resolution A4)."""
 ROLLOVER_S = 1024 * 7 * 86400.0
 """After which the ten bits of a GPS week begin again (IS-GPS-200, section 20.3.3.3.1.1)."""
 
@@ -65,6 +67,7 @@ def shifts_s(sample: Sample) -> dict[float, str]:
     if gps > 0.0:
         leaps |= {gps: f"GPS time was ahead of UTC by {gps:g} s", 1.0: "a leap second"}
         leaps[gps + 19.0] = f"TAI was ahead of UTC by {gps + 19.0:g} s"
+        leaps[gps + 19.0 + TT_TAI_S] = f"TT was ahead of UTC by {gps + 19.0 + TT_TAI_S:g} s"
     out = {hours * 3600.0: "a time zone" for hours in HOURS}
     for seconds, words in leaps.items():
         out |= {seconds: words, -seconds: f"{words}, taken twice or with the wrong sign"}
@@ -206,6 +209,8 @@ def _elements_off(shift_s: float, sample: Sample, as_is_nT: float, mended_nT: fl
 def named_shift(shift_s: float, words: str, as_is_nT: float, mended_nT: float) -> str:
     """The sentence that names a shift."""
     zone = ", or time.zone where they are local times" if words == "a time zone" else ""
+    if words.startswith(("GPS ", "TAI ", "TT ")):
+        zone = f', or time.scale = "{words.split()[0] if shift_s > 0.0 else "UTC"}"'
     return (
         f"the stamps are {shift_words(shift_s)} too {'late' if shift_s > 0 else 'early'} ({words}): as they stand the "
         f"reading misses the model by {as_is_nT:.0f} nT rms after a fit, with {-shift_s:+.10g} s by {mended_nT:.0f} nT. "
@@ -256,7 +261,7 @@ def _what_shows(shows: dict[float, bool], shifts: dict[float, str], plain: Itera
     for shift, words in ((s, shifts[s]) for s in sorted(shifts) if 1.0 < s < 1800.0 or s in (3600.0, 86400.0)):
         sides = [shows[side] for side in (shift, -shift) if side in shows]
         seen = "cannot be tested" if len(sides) < 2 else "would show" if all(sides) else "would not show"
-        what = "" if shift >= 3600.0 else " (GPS)" if "GPS" in words else " (TAI)"
+        what = "" if shift >= 3600.0 else f" ({words.split()[0]})"
         said[seen].append(f"{shift_words(shift)}{what}")
     listed = [f"shifts of {', '.join(some)} {seen} here" for seen, some in said.items() if some]
     hidden = [abs(shift) for shift in plain if not shows.get(shift, False)]

@@ -61,7 +61,7 @@ def check_field(telemetry: Telemetry, model: FieldModel, origin: Origin, usable:
         unit = [finding for finding in blind_magnitude(telemetry) if finding.severity == "trap"]
         return [*unit, trap("outside_field_model", error=error)]
     if sample is None:
-        return [*blind_magnitude(telemetry), *check_outliers(telemetry, None, model, usable)[0]]
+        return [*blind_magnitude(telemetry), *check_outliers(telemetry, None, model, usable, origin)[0]]
     unit = check_unit(sample)
     if any(found.severity == "trap" for found in unit):  # a wrong unit must not look like a wrong attitude
         return [*unit, note("orientation_not_tested.unit")]
@@ -71,7 +71,7 @@ def check_field(telemetry: Telemetry, model: FieldModel, origin: Origin, usable:
     chosen = posed if posed is not None and with_attitude else sample
     if len(chosen) < FEWEST:
         return findings
-    outliers, faulty = check_outliers(telemetry, chosen, model, usable)
+    outliers, faulty = check_outliers(telemetry, chosen, model, usable, origin)
     chosen = without_gross_outliers(chosen.take(~faulty[chosen.rows]))
     compared = _by_vectors(chosen, telemetry, model, origin) if with_attitude else _by_size(chosen, model, origin)
     if not any(found.severity == "trap" for found in compared):
@@ -190,9 +190,15 @@ def _positions(sample: Sample, model: FieldModel, origin: Origin) -> list[Hypoth
     """Positions in the other frame, Earth-fixed or inertial; with attitude also those with axes swapped, which |B| alone
     takes for a phase."""
     if origin.position == "ITRS":  # they were turned to GCRS on reading
-        words, advice = "the positions are inertial (GCRS), not Earth-fixed", "name them r_x_km r_y_km r_z_km"
+        words, advice = (
+            "the positions are inertial (GCRS), not Earth-fixed",
+            'name them r_x_km r_y_km r_z_km, or frame = "GCRS" for `position` in a column map',
+        )
     else:
-        words, advice = "the positions are Earth-fixed", "name them ecef_x_km ecef_y_km ecef_z_km"
+        words, advice = (
+            "the positions are Earth-fixed",
+            'name them ecef_x_km ecef_y_km ecef_z_km, or frame = "ITRS" for `position` in a column map',
+        )
     r = sample.R_EN.apply(sample.r_N_km, inverse=origin.position != "ITRS")
     readings = [("position_frame", words, advice, SINGLE_COST, r)]
     for order in () if sample.q_NB is None else ((0, 2, 1), (1, 0, 2), (2, 1, 0), (1, 2, 0), (2, 0, 1)):

@@ -55,6 +55,8 @@ class _Convention:
     things: int
     """How many things are wrong."""
     words: str
+    keys: tuple[str, ...]
+    """What `attitude` needs in a column map to be read so, beside what it has."""
     R_BN: Rotation
 
 
@@ -87,17 +89,17 @@ def orientations(sample: Sample, origin: Origin) -> list[Hypothesis]:
     listed = [divmod(int(place), len(mountings)) for place in order]
     listed += [(int(i), int(j)) for i, j in np.argwhere(whole <= 1)]
     pairs = [(0, 0), *(pair for pair in dict.fromkeys(listed) if pair != (0, 0))]
-    out = [_hypothesis(conventions[i], mountings[j], fields[i]) for i, j in pairs]
+    out = [_hypothesis(conventions[i], mountings[j], fields[i], origin) for i, j in pairs]
     _, i, turn = min(turned, key=lambda one: one[0])
-    return [*out, *_any_turn(conventions[i], turn, fields[i], matrices)]
+    return [*out, *_any_turn(conventions[i], turn, fields[i], matrices, origin)]
 
 
-def _hypothesis(convention: _Convention, mounting: _Mounting, field_nT: FloatArray) -> Hypothesis:
+def _hypothesis(convention: _Convention, mounting: _Mounting, field_nT: FloatArray, origin: Origin) -> Hypothesis:
     things = convention.things + bool(mounting.words)
     code = "attitude_convention" if convention.words else "magnetometer_axes" if mounting.words else ""
-    rows = (", ".join(f"{value + 0.0:.4g}" for value in np.round(row, 4)) for row in mounting.matrix.T)
+    rows = (", ".join(f"{value + 0.0:.4g}" for value in np.round(row, 4)) for row in mounting.matrix.T @ origin.matrix)
     turned = f"matrix = [{', '.join(f'[{row}]' for row in rows)}] for `mag` turns the columns in a column map"
-    stated = "state it in a column map (order, sense, relative_to)"
+    stated = f"`attitude` in a column map needs {', '.join(convention.keys)}"
     advice = "; ".join([stated] * bool(convention.words) + [turned] * bool(mounting.words))
     return Hypothesis(
         code,
@@ -116,14 +118,14 @@ def _best_turn(cross: FloatArray) -> FloatArray:
 
 
 def _any_turn(
-    convention: _Convention, turn: FloatArray, field_nT: FloatArray, matrices: FloatArray
+    convention: _Convention, turn: FloatArray, field_nT: FloatArray, matrices: FloatArray, origin: Origin
 ) -> list[Hypothesis]:
     """The best turn of the mounting, unless it is one of those listed."""
     nearest = float(np.max(np.einsum("kij,ij->k", matrices, turn)))
     if np.arccos(np.clip((nearest - 1.0) / 2.0, -1.0, 1.0)) < _SAME_TURN_RAD:
         return []
     words = f"the magnetometer is turned by {_turn_words(turn)}"
-    return [_hypothesis(convention, _Mounting(turn, words, ANY_MOUNTING_COST), field_nT)]
+    return [_hypothesis(convention, _Mounting(turn, words, ANY_MOUNTING_COST), field_nT, origin)]
 
 
 @cache
@@ -191,18 +193,21 @@ def _conventions(sample: Sample, origin: Origin) -> list[_Convention]:
     stated = origin.attitude if origin.attitude in names else "GCRS"
     axes = {name: rotation_XN(name, sample.time, sample.r_N_km, sample.v_N_km_s) for name in names}
     q = sample.q_NB if stated == "GCRS" else frames.q_from_rotation(sample.R_BN * axes[stated].inv())
-    orders = [("", q), ("the quaternion is scalar first", q[:, [1, 2, 3, 0]])]
+    q = q * [-1.0, -1.0, -1.0, 1.0] if origin.conjugated else q  # as it is stored
+    orders = [("", (), q), ("the quaternion is scalar first", ('order = "wxyz"',), q[:, [1, 2, 3, 0]])]
     if origin.scalar_first:
-        orders[1] = ("the quaternion is scalar last", q[:, [3, 0, 1, 2]])
+        orders[1] = ("the quaternion is scalar last", ('order = "xyzw"',), q[:, [3, 0, 1, 2]])
+    sense = f'sense = "{"textbook" if origin.conjugated else "conjugate"}"'
     others = sorted(names, key=lambda name: name != stated)
     worded = [("" if name == stated else f"the attitude is relative to {_REFERENCES[name]}", name) for name in others]
     out = []
-    for (order, quaternion), conjugate in itertools.product(orders, (False, True)):
+    for (order, order_key, quaternion), conjugate in itertools.product(orders, (False, True)):
         R = frames.rotation_from_q(quaternion)
-        R = R.inv() if conjugate else R
+        R = R.inv() if conjugate != origin.conjugated else R
         for reference, name in worded:
             words = [w for w in (order, "it is conjugated (transposed)" if conjugate else "", reference) if w]
             if words and words[0].startswith("it is"):
                 words[0] = words[0].replace("it is", "the quaternion is")
-            out.append(_Convention(len(words), " and ".join(words), R * axes[name]))
+            keys = (*order_key, *([sense] if conjugate else []), *([f'relative_to = "{name}"'] if reference else []))
+            out.append(_Convention(len(words), " and ".join(words), keys, R * axes[name]))
     return out

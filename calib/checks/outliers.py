@@ -12,8 +12,8 @@ import numpy as np
 
 from fluxtwin.calib.checks.evidence import FLAT, slope_of_form
 from fluxtwin.calib.checks.report import Finding, note, trap
-from fluxtwin.calib.checks.sample import Sample
-from fluxtwin.calib.checks.stuck import least_step
+from fluxtwin.calib.checks.sample import Origin, Sample
+from fluxtwin.calib.checks.stuck import fill_words, least_step
 from fluxtwin.calib.common.digits import plain
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.earth import epoch, frames
@@ -45,7 +45,7 @@ def without_gross_outliers(sample: Sample) -> Sample:
 
 
 def check_outliers(
-    telemetry: Telemetry, sample: Sample | None, model: FieldModel, usable: BoolArray
+    telemetry: Telemetry, sample: Sample | None, model: FieldModel, usable: BoolArray, origin: Origin
 ) -> tuple[list[Finding], BoolArray]:
     """The trap `outliers` with its rows, or a note where readings are rough throughout; and which rows (N,) they are.
 
@@ -67,11 +67,12 @@ def check_outliers(
         f"{out.size} of {rows.size} readings stand out from their neighbours by {_from_to(size)} nT, "
         f"{_from_to(ratio[out])} times the scatter there"
     )
+    fill = fill_words(telemetry.mag_B_nT[where], origin)
     if out.size > max(FEW * rows.size, 3) or max(map(len, runs)) > LONGEST_RUN:
-        return [note("rough_readings", where, evidence=evidence)], mask
+        return [note("rough_readings", where, evidence=evidence, fill=fill)], mask
     mask[where] = True
     shown = ", ".join(epoch.iso(telemetry.time[row]) for row in where[:3]) + (", ..." if out.size > 3 else "")
-    return [trap("outliers", where, evidence=evidence, shown=shown)], mask
+    return [trap("outliers", where, evidence=evidence, shown=shown, fill=fill)], mask
 
 
 def _from_to(values: FloatArray) -> str:

@@ -36,6 +36,17 @@ class Origin:
     scalar_first: bool = False
     """The map took the quaternion's first component for the scalar."""
     elements: TleSeries | None = None
+    conjugated: bool = False
+    """The map took the stored quaternion for the conjugate."""
+    turned: tuple[tuple[float, ...], ...] | None = None
+    """Matrix by which the map turned the stored readings."""
+    nT_per_count: float | None = 1.0
+    """Reading [nT] for a stored number of 1; None where it is not one factor for all axes."""
+
+    @property
+    def matrix(self) -> FloatArray:
+        """(3, 3) from the axes of the stored readings to those of the record."""
+        return np.eye(3) if self.turned is None else np.array(self.turned)
 
 
 @dataclass(frozen=True)

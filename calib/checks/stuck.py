@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from fluxtwin.calib.checks.report import Finding, trap
+from fluxtwin.calib.checks.sample import Origin
 from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
 from fluxtwin.sim.telemetry.record import Telemetry
 
@@ -19,7 +20,7 @@ LONGER, MUCH_LONGER = 3.0, 10.0
 _WINDOWS, _LONGEST_RUNS = 400, 50
 
 
-def check_stuck(telemetry: Telemetry) -> tuple[list[Finding], BoolArray]:
+def check_stuck(telemetry: Telemetry, origin: Origin | None = None) -> tuple[list[Finding], BoolArray]:
     """The traps `constant_field`, `stuck_values`, `stuck_axis`, and which rows (N,) they spoil."""
     mag, good = telemetry.mag_B_nT, telemetry.has_reading
     faulty = np.zeros(len(mag), dtype=bool)
@@ -37,13 +38,29 @@ def check_stuck(telemetry: Telemetry) -> tuple[list[Finding], BoolArray]:
     some: BoolArray = np.asarray(stuck.any(axis=1) | every)
     findings = []
     if every.any():
-        findings.append(trap("stuck_values", np.flatnonzero(every), **_lengths(every, telemetry.time)))
+        said = {"fill": fill_words(mag[every], origin or Origin()), **_lengths(every, telemetry.time)}
+        findings.append(trap("stuck_values", np.flatnonzero(every), **said))
     for axis in range(3):
         alone = stuck[:, axis] & ~every
         if alone.any():
             long = _lengths(alone, telemetry.time)
             findings.append(trap("stuck_axis.at_times", np.flatnonzero(alone), axis="xyz"[axis], **long))
     return findings, some
+
+
+def fill_words(mag_nT: FloatArray, origin: Origin) -> str:
+    """A sentence where one number stands on all axes in several of the rows (n, 3): no field does that."""
+    stored = mag_nT @ origin.matrix  # its inverse is its transpose
+    alike = stored[np.ptp(stored, axis=1) <= 1e-9 * np.abs(stored).max(axis=1), 0]
+    values, counts = np.unique(np.round(alike, 6), return_counts=True)
+    if counts.max(initial=0) < 2:
+        return ""
+    value, count = float(values[np.argmax(counts)]), int(counts.max())
+    key = "fill" if value else "invalid"  # one axis may be zero
+    if origin.nT_per_count is not None:
+        key = f"{key} = [{value / origin.nT_per_count + 0.0:.10g}]"
+    said = f"Of these, {count} have {value + 0.0:.10g} nT on all axes: a fill value"
+    return f"{said}, then `mag` in a column map needs {key}. "
 
 
 def least_step(mag: FloatArray) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +16,7 @@ from scipy.spatial.transform import Rotation
 from fluxtwin import load_scenario
 from fluxtwin.calib.checks.calibrated import _misfit_nT
 from fluxtwin.calib.checks.check import check_file, check_telemetry, repair
+from fluxtwin.calib.checks.clock import named_shift, shifts_s
 from fluxtwin.calib.checks.evidence import _covariances
 from fluxtwin.calib.checks.orientation import _mountings
 from fluxtwin.calib.checks.outliers import without_gross_outliers
@@ -516,6 +518,18 @@ def test_local_axes_that_fit_alike_are_both_named_with_what_settles_it(truth: st
         assert ("both are possible. What settles it: the documentation" in found.text) == alike
 
 
+def column_map(mag: str = "", attitude: str = 'order = "xyzw", relative_to = "GCRS"') -> str:
+    """A map for a file with the contract's names, with these keys of the readings and of the attitude."""
+    vectors = {"mag": ("mag_{}_nT", "nT"), "position": ("r_{}_km", "km"), "velocity": ("v_{}_km_s", "km/s")}
+    rows = []
+    for name, (of, unit) in vectors.items():
+        keys = [f"from = {json.dumps([of.format(axis) for axis in 'xyz'])}", f'unit = "{unit}"']
+        keys += [mag] * bool(mag) if name == "mag" else ['frame = "GCRS"']
+        rows.append(f"{name} = {{ {', '.join(keys)} }}")
+    rows.append(f'attitude = {{ from = ["q_x", "q_y", "q_z", "q_w"], {attitude} }}')
+    return "\n".join(['[[file]]\ntime = { recipe = "iso", columns = "time" }\n[file.columns]', *rows, ""])
+
+
 @pytest.mark.parametrize("kind", ["quarter", "eighth", "mirrored"])
 def test_the_matrix_that_is_advised_puts_the_axes_right(kind: str, model: FieldModel, tmp_path: Path) -> None:
     """The line goes into a column map as it stands."""
@@ -528,13 +542,87 @@ def test_the_matrix_that_is_advised_puts_the_axes_right(kind: str, model: FieldM
     (found,) = check_file(path, model).traps
     assert found.code == "magnetometer_axes"
     line = found.text[found.text.index("matrix = ") :].partition(" for `mag`")[0]
-    vectors = {"mag": ("mag_{}_nT", "nT"), "position": ("r_{}_km", "km"), "velocity": ("v_{}_km_s", "km/s")}
-    rows = [
-        f'{name} = {{ from = {json.dumps([of.format(axis) for axis in "xyz"])}, unit = "{unit}", '
-        + (f"{line} }}" if name == "mag" else 'frame = "GCRS" }')
-        for name, (of, unit) in vectors.items()
-    ]
-    rows.append('attitude = { from = ["q_x", "q_y", "q_z", "q_w"], order = "xyzw", relative_to = "GCRS" }')
-    text = "\n".join(['[[file]]\ntime = { recipe = "iso", columns = "time" }\n[file.columns]', *rows, ""])
-    (tmp_path / "m.toml").write_text(text, encoding="utf-8")
+    (tmp_path / "m.toml").write_text(column_map(mag=line), encoding="utf-8")
     assert check_file(path, model, column_map=tmp_path / "m.toml").traps == ()
+
+
+def test_a_matrix_that_a_map_has_already_is_in_the_one_that_is_advised(model: FieldModel, tmp_path: Path) -> None:
+    record = good(model, mode="tumble")
+    stored = np.array(record.mag_B_nT) @ Rotation.from_euler("z", 90.0, degrees=True).as_matrix().T
+    path = write_telemetry(record.replace(mag_B_nT=stored), tmp_path / "t.csv")
+    (tmp_path / "m.toml").write_text(column_map(mag="matrix = [[1, 0, 0], [0, 0, 1], [0, -1, 0]]"), encoding="utf-8")
+    (found,) = check_file(path, model, column_map=tmp_path / "m.toml").traps
+    line = found.text[found.text.index("matrix = ") :].partition(" for `mag`")[0]
+    (tmp_path / "m.toml").write_text(column_map(mag=line), encoding="utf-8")
+    assert check_file(path, model, column_map=tmp_path / "m.toml").traps == ()
+
+
+@pytest.mark.parametrize(
+    ("stored", "stated", "wanted"),
+    [
+        ("wxyz", {}, {"order": "wxyz"}),
+        ("wxyz conjugate", {}, {"order": "wxyz", "sense": "conjugate"}),
+        ("xyzw", {"order": "wxyz"}, {"order": "xyzw"}),
+        ("xyzw", {"sense": "conjugate"}, {"sense": "textbook"}),
+        ("wxyz", {"sense": "conjugate"}, {"order": "wxyz", "sense": "textbook"}),
+        ("xyzw ITRS", {}, {"relative_to": "ITRS"}),
+        ("wxyz ITRS", {}, {"order": "wxyz", "relative_to": "ITRS"}),
+    ],
+)
+def test_the_keys_of_an_attitude_that_are_advised_put_it_right(
+    stored: str, stated: dict[str, str], wanted: dict[str, str], model: FieldModel, tmp_path: Path
+) -> None:
+    """They go into a column map as they stand, beside or in place of what it has."""
+    record = good(model, mode="tumble")
+    q = np.array(record.q_NB)
+    if "ITRS" in stored:
+        R_EN = references.rotation_XN("ITRS", record.time, np.array(record.r_N_km))
+        q = frames.q_from_rotation(frames.rotation_from_q(q) * R_EN.inv())
+    q = q * [-1.0, -1.0, -1.0, 1.0] if "conjugate" in stored else q
+    q = q[:, [3, 0, 1, 2]] if "wxyz" in stored else q
+    path = write_telemetry(record.replace(q_NB=q), tmp_path / "t.csv")
+    keys = {"order": "xyzw", "relative_to": "GCRS"} | stated
+
+    def traps() -> list[str]:
+        text = column_map(attitude=", ".join(f'{key} = "{value}"' for key, value in keys.items()))
+        (tmp_path / "m.toml").write_text(text, encoding="utf-8")
+        return [found.text for found in check_file(path, model, column_map=tmp_path / "m.toml").traps]
+
+    (found,) = traps()
+    needed = found.partition("`attitude` in a column map needs ")[2]
+    assert dict(re.findall(r'(\w+) = "(\w+)"', needed)) == wanted, found
+    keys |= wanted
+    assert traps() == []
+
+
+@pytest.mark.parametrize(("count", "key"), [(-32768, "fill"), (0, "invalid")])
+def test_a_number_on_all_axes_is_called_a_fill_value_with_the_line_for_it(
+    count: int, key: str, model: FieldModel, tmp_path: Path
+) -> None:
+    record = good(model, mode="tumble")
+    mag = np.round(np.array(record.mag_B_nT) / 10.0) * 10.0
+    mag[[30, 60, 61, 90]] = 10.0 * count
+    path = write_telemetry(record.replace(mag_B_nT=mag / 10.0), tmp_path / "t.csv")
+    (tmp_path / "m.toml").write_text(column_map(mag="scale = 10"), encoding="utf-8")
+    (found,) = check_file(path, model, column_map=tmp_path / "m.toml").traps
+    assert found.code == "outliers" and f"Of these, 4 have {10 * count} nT on all axes" in found.text
+    line = found.text.partition("`mag` in a column map needs ")[2].partition(". ")[0]
+    assert line == f"{key} = [{count}]"
+    (tmp_path / "m.toml").write_text(column_map(mag=f"scale = 10, {line}"), encoding="utf-8")
+    assert check_file(path, model, column_map=tmp_path / "m.toml").traps == ()
+
+
+def test_terrestrial_time_is_a_clock_that_is_tried(model: FieldModel) -> None:
+    """TT - UTC is 69.184 s since 2017, 65.184 s before mid 2012 (IERS Bulletin C and the definition of TT)."""
+    from astropy.time import Time
+
+    for stamp in ("2020-05-01T00:00:00", "2011-05-01T00:00:00"):
+        tt_s = float((Time(Time(stamp, scale="utc").tt.iso, scale="utc") - Time(stamp, scale="utc")).sec)
+        record = good(model, mode="tumble", rows=400)
+        record = record.replace(time=np.datetime64(stamp, "ns") + (record.time - record.time[0]))
+        sample = comparable(record, model, np.ones(len(record), dtype=bool), with_attitude=False)
+        assert sample is not None
+        (tried,) = [shift for shift, words in shifts_s(sample).items() if words.startswith("TT") and shift > 0.0]
+        assert tried == pytest.approx(tt_s, abs=1e-6)
+        assert 'or time.scale = "TT"' in named_shift(tried, shifts_s(sample)[tried], 900.0, 30.0)
+        assert 'or time.scale = "UTC"' in named_shift(-tried, shifts_s(sample)[-tried], 900.0, 30.0)

@@ -84,6 +84,7 @@ def test_good_records_are_not_flagged_and_hear_what_would_show(model: FieldModel
         (said,) = [note.text for note in report.notes if note.code == "clock_tested"]
         assert re.search(r"18 s \(GPS\)[^;]* would (not )?show here", said)
         assert re.search(r"1 h[^;]* would (not )?show here", said)
+        assert re.search(r"\d s \(TT\)[^;]* would (not )?show here", said)
 
 
 @pytest.mark.parametrize("minutes", [10, -20, 50, 95])

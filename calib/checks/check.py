@@ -186,8 +186,8 @@ def _stored(mag: ColumnSpec | None) -> dict[str, Any]:
         return {}
     known = not isinstance(mag.scale, list) and not np.any(mag.offset)
     unit_nT = BY_MAP_NAME["mag"].map_units.get(mag.unit or "", 1.0)
-    turned = None if mag.matrix is None else tuple(map(tuple, mag.matrix))
-    return {"turned": turned, "nT_per_count": float(np.asarray(mag.scale)) * unit_nT if known else None}
+    turned = {} if mag.matrix is None else {"matrix": tuple(map(tuple, mag.matrix))}
+    return {**turned, "count_nT": float(np.asarray(mag.scale)) * unit_nT if known else None}
 
 
 def repair(path: Path | str, out: Path | str, *, max_samples: int | None = None) -> CheckReport:

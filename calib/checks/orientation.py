@@ -97,7 +97,10 @@ def orientations(sample: Sample, origin: Origin) -> list[Hypothesis]:
 def _hypothesis(convention: _Convention, mounting: _Mounting, field_nT: FloatArray, origin: Origin) -> Hypothesis:
     things = convention.things + bool(mounting.words)
     code = "attitude_convention" if convention.words else "magnetometer_axes" if mounting.words else ""
-    rows = (", ".join(f"{value + 0.0:.4g}" for value in np.round(row, 4)) for row in mounting.matrix.T @ origin.matrix)
+    rows = (
+        ", ".join(f"{value + 0.0:.4g}" for value in np.round(row, 4))
+        for row in mounting.matrix.T @ np.array(origin.matrix)
+    )
     turned = f"matrix = [{', '.join(f'[{row}]' for row in rows)}] for `mag` turns the columns in a column map"
     stated = f"`attitude` in a column map needs {', '.join(convention.keys)}"
     advice = "; ".join([stated] * bool(convention.words) + [turned] * bool(mounting.words))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
@@ -38,15 +39,10 @@ class Origin:
     elements: TleSeries | None = None
     conjugated: bool = False
     """The map took the stored quaternion for the conjugate."""
-    turned: tuple[tuple[float, ...], ...] | None = None
-    """Matrix by which the map turned the stored readings."""
-    nT_per_count: float | None = 1.0
+    matrix: Sequence[Sequence[float]] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+    """(3, 3) by which the map turned the stored readings."""
+    count_nT: float | None = 1.0
     """Reading [nT] for a stored number of 1; None where it is not one factor for all axes."""
-
-    @property
-    def matrix(self) -> FloatArray:
-        """(3, 3) from the axes of the stored readings to those of the record."""
-        return np.eye(3) if self.turned is None else np.array(self.turned)
 
 
 @dataclass(frozen=True)

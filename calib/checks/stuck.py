@@ -50,15 +50,15 @@ def check_stuck(telemetry: Telemetry, origin: Origin | None = None) -> tuple[lis
 
 def fill_words(mag_nT: FloatArray, origin: Origin) -> str:
     """A sentence where one number stands on all axes in several of the rows (n, 3): no field does that."""
-    stored = mag_nT @ origin.matrix  # its inverse is its transpose
+    stored = mag_nT @ np.array(origin.matrix)  # its inverse is its transpose
     alike = stored[np.ptp(stored, axis=1) <= 1e-9 * np.abs(stored).max(axis=1), 0]
     values, counts = np.unique(np.round(alike, 6), return_counts=True)
     if counts.max(initial=0) < 2:
         return ""
     value, count = float(values[np.argmax(counts)]), int(counts.max())
     key = "fill" if value else "invalid"  # one axis may be zero
-    if origin.nT_per_count is not None:
-        key = f"{key} = [{value / origin.nT_per_count + 0.0:.10g}]"
+    if origin.count_nT is not None:
+        key = f"{key} = [{value / origin.count_nT + 0.0:.10g}]"
     said = f"Of these, {count} have {value + 0.0:.10g} nT on all axes: a fill value"
     return f"{said}, then `mag` in a column map needs {key}. "
 

@@ -17,7 +17,7 @@ UNIT = re.compile(
 )
 NO_UNIT = (
     # ratios, matrices of ratios, rotations, states of 0 and 1, counts and probabilities
-    {"S", "q_NB", "sunlit", "heater_on", "sun_sensor_head", "sun_B", "sun_N", "nadir_B", "nadir_N"}
+    {"S", "matrix", "q_NB", "sunlit", "heater_on", "sun_sensor_head", "sun_B", "sun_N", "nadir_B", "nadir_N"}
     | {
         "illumination",
         "passes",

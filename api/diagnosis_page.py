@@ -105,6 +105,7 @@ def _rest(diagnosis: Diagnosis) -> list[PageSection]:
     """What the answer says beyond its first sentence, and no later section says again."""
     law = "" if diagnosis.law is None else diagnosis.law.sentence
     rest = [one for one in _sentences(diagnosis)[1:] if one not in law and not one.startswith("It resembles ")]
+    rest += second_lines(diagnosis)
     return [PageSection("What it means", rest)] if rest else []
 
 
@@ -180,6 +181,20 @@ def where_lines(diagnosis: Diagnosis) -> list[str]:
     if unknown or any(len(effect.group) > 1 for effect in diagnosis.effects):
         lines.append(PLAN)
     return lines
+
+
+def second_lines(diagnosis: Diagnosis) -> list[str]:
+    """What was used of a second magnetometer, and how to ask it; empty where there is none, or none that could be used."""
+    pair = diagnosis.provenance.get("two_magnetometers")
+    if not pair or _wrong_file(diagnosis):
+        return []
+    gone = pair["ruled_out"]
+    used = f"rules out {' and '.join(gone)}" if gone else "rules out no cause"
+    return [
+        f"Beside a calibration of each, the two magnetometers read {pair['apart_nT']:.3g} nT apart (rms), where their noise "
+        f"gives {pair['noise_nT']:.3g}; that difference {used}. What else the other one shows: "
+        f"--magnetometer {pair['other']}, and fluxtwin calibrate --both."
+    ]
 
 
 def _wrong_file(diagnosis: Diagnosis) -> bool:

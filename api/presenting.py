@@ -81,7 +81,8 @@ def _fit(fit: Fit) -> Presented:
 
 
 def _diagnosis(found: Diagnosis) -> Presented:
-    sentences = [found.sentence, *diagnosis_page.where_lines(found), *found.notes]
+    lines = [*diagnosis_page.where_lines(found), *diagnosis_page.second_lines(found)]
+    sentences = [found.sentence, *lines, *found.notes]
     return Presented(sentences, diagnosis_page.tables(found))
 
 

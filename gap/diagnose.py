@@ -121,7 +121,8 @@ def diagnose(
         gone = [name for name, why in problem.ruled_out.items() if why in (words.DENIED_SENSOR, words.DENIED_SHARED)]
         differ = work.differ is not None and work.differ.structured
         rms = {"apart_nT": work.apart.rms_nT, "noise_nT": work.apart.noise_nT}
-        facts["two_magnetometers"] = {**rms, "differ": differ, "ruled_out": gone}
+        other = 3 - telemetry.magnetometer
+        facts["two_magnetometers"] = {**rms, "differ": differ, "ruled_out": gone, "other": other}
         notes += [f"{name} would explain the readings, but {problem.ruled_out[name]}: ruled out" for name in gone]
     elif problem.telemetry.mag2_B_nT is not None:
         notes.append(words.SECOND_UNUSED)

@@ -144,7 +144,7 @@ def _several(
         for note in diagnosis.notes:
             output.note(f"note: {name}: {note}")
         output.prose(f"{name}: {diagnosis.sentence}", indent="  ")
-        for line in diagnosis_page.where_lines(diagnosis):
+        for line in (*diagnosis_page.where_lines(diagnosis), *diagnosis_page.second_lines(diagnosis)):
             output.prose(f"  {line}", indent="  ")
     output.result({"records": {name: diagnosis.to_dict() for name, diagnosis in found.items()}})
 
@@ -166,7 +166,7 @@ def _say(output: Output, diagnosis: Diagnosis, html: Path | None, close: Path | 
         why = "what is named is not in the readings" if diagnosis.effects else "no effect is named"
         output.note(f"note: {why}, so there is nothing to close: {close} is not written")
     output.prose(diagnosis.sentence)
-    for line in diagnosis_page.where_lines(diagnosis):
+    for line in (*diagnosis_page.where_lines(diagnosis), *diagnosis_page.second_lines(diagnosis)):
         output.prose(line)
     output.say()
     output.tables(diagnosis_page.tables(diagnosis))

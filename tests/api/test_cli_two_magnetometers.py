@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -61,6 +62,25 @@ def test_each_is_calibrated_and_the_shared_part_is_the_attitudes(cli: Cli, flown
     assert second.magnetometer == 2 and fluxtwin.Calibration.from_toml(tmp_path / "c.toml").magnetometer == 1
     alone = fluxtwin.calibrate(flown, magnetometer=2).calibration
     assert np.array_equal(alone.b_nT, second.b_nT)
+
+
+@pytest.mark.usefixtures("lawless")
+def test_the_diagnosis_says_what_it_used_of_the_other_and_how_to_ask_it(cli: Cli, flown: Path, tmp_path: Path) -> None:
+    """Noise of 20 and 60 nT, 63 nT together; a magnetometer alone hears nothing of another."""
+    done = cli("diagnose", flown, "--html", tmp_path / "d.html")
+    assert done.status == 0, done.err
+    said = " ".join(done.out.split())
+    found = re.search(
+        r"two magnetometers read (\S+) nT apart \(rms\), where their noise gives (\S+); that difference rules", said
+    )
+    assert found and all(float(size) == pytest.approx(np.hypot(20.0, 60.0), rel=0.1) for size in found.groups())
+    assert "--magnetometer 2, and fluxtwin calibrate --both." in said
+    assert "--magnetometer 1, and fluxtwin calibrate --both." in " ".join(
+        cli("diagnose", flown, "--magnetometer", 2).out.split()
+    )
+    assert "two magnetometers read" in (tmp_path / "d.html").read_text(encoding="utf-8")
+    fluxtwin.write(fluxtwin.read(flown).replace(mag2_B_nT=None), tmp_path / "one.nc")
+    assert "two magnetometers" not in cli("diagnose", tmp_path / "one.nc").out
 
 
 @pytest.mark.parametrize("noise_nT", [1.0, 60.0])

@@ -6,8 +6,8 @@ Flies docs/examples/ensemble.toml (a momentum-bias satellite, degree-13 field, c
 steps a vehicle, kept each 10 s) by `fly_ensemble`, in files as a user has them: with one process and with one a core.
 Whether the time is linear is told by processor time (this process and those it starts), because the clock's depends on
 what else the machine does, and so is what several processes gain: their longest way is what this process does besides
-them and the one of them that does most, which is what the clock would show were each process on a core of its own. Each
-figure is the least of some repeats. Then 16 vehicles on one orbit, and 16 on an orbit each,
+them and an equal share of what they do, as the clock would show were each on a core of its own (the chunks go to
+whoever is free). Each figure is the least of some repeats. Then 16 vehicles on one orbit, and 16 on an orbit each,
 with the processor time of every part by itself.
 """
 
@@ -114,7 +114,7 @@ class Used(NamedTuple):
     processor_s: float
     """Of all processes."""
     longest_way_s: float | None
-    """Processor time of this process and of the one that it started which does most; None where nobody says."""
+    """Processor time of this process and of one of those that it started, on average; None where nobody says."""
 
 
 def seconds_of(scenario: Scenario, vehicles: int, jobs: int) -> Used:
@@ -128,7 +128,7 @@ def seconds_of(scenario: Scenario, vehicles: int, jobs: int) -> Used:
         spent = time.perf_counter() - began, processor_s() - used
     if jobs > 1 and len(others) != jobs:
         return Used(*spent, None)
-    return Used(*spent, own + max(others.values(), default=0.0))
+    return Used(*spent, own + sum(others.values()) / max(len(others), 1))
 
 
 @contextmanager

@@ -23,9 +23,9 @@ _BITS = 52
 
 
 def nominal_values(scenario: Scenario) -> dict[str, Any]:
-    """The scenario's own value of every drawn key."""
+    """The scenario's own value of every drawn key, as an array."""
     tree = scenario.model_dump() if scenario.draws else {}
-    return {key: nominal(tree, key) for key in scenario.draws}
+    return {key: np.asarray(nominal(tree, key)) for key in scenario.draws}
 
 
 def vehicle_scenario(scenario: Scenario, seed: int, vehicle: int, drawn: Mapping[str, Any] | None = None) -> Scenario:

@@ -16,7 +16,13 @@ from fluxtwin.sim.base import files
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.progress import Progress, silent
 from fluxtwin.sim.base.seals import sealed_json, unsealed_json
-from fluxtwin.sim.run.ensemble.draws import drawn_values, nominal_values, vehicle_scenario
+from fluxtwin.sim.run.ensemble.draws import (
+    drawn_values,
+    flattened,
+    nominal_values,
+    vehicle_scenario,
+    vehicle_seed,
+)
 from fluxtwin.sim.run.world import build_world
 from fluxtwin.sim.scenario.scenario import Scenario, parse_scenario
 
@@ -56,6 +62,19 @@ class Plan:
     def drawn(self, number: int) -> dict[str, Any]:
         """What was drawn for one vehicle, by dotted key."""
         return self._drawn(number)
+
+    def row(self, number: int) -> dict[str, Any]:
+        """Number, seed and what was drawn, as the table of vehicles has it."""
+        return self._row(number)
+
+    @cached_property
+    def _row(self) -> Callable[[int], dict[str, Any]]:
+        """Remembers: the table is written before the flights and after them."""
+
+        def row(number: int) -> dict[str, Any]:
+            return {"vehicle": number, "seed": vehicle_seed(self.seed, number), **flattened(self.drawn(number))}
+
+        return lru_cache(_REMEMBERED)(row)
 
     @cached_property
     def _drawn(self) -> Callable[[int], dict[str, Any]]:

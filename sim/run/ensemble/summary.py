@@ -9,6 +9,7 @@ from __future__ import annotations
 import csv
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,6 @@ from fluxtwin.sim.base.processes import stop_if_asked
 from fluxtwin.sim.base.types import FloatArray, TimeArray
 from fluxtwin.sim.earth.epoch import iso
 from fluxtwin.sim.run.ensemble import chunk
-from fluxtwin.sim.run.ensemble.draws import flattened, vehicle_seed
 from fluxtwin.sim.run.ensemble.plan import Plan
 
 VEHICLES, ENVELOPE, SUMMARY = "vehicles.csv", "envelope.csv", "summary.json"
@@ -55,16 +55,14 @@ def _write_table(path: Path, rows: Iterable[Iterable[Any]]) -> Path:
 
 def _index_rows(plan: Plan, figures: Mapping[str, FloatArray]) -> Iterator[Iterable[Any]]:
     for vehicle in range(plan.vehicles):
-        drawn = flattened(plan.drawn(vehicle))
-        row = {"vehicle": vehicle, "seed": vehicle_seed(plan.seed, vehicle), **drawn}
-        row |= {name: _cell(float(values[vehicle])) for name, values in figures.items()}
+        row = plan.row(vehicle) | {name: float(values[vehicle]) for name, values in figures.items()}
         if vehicle == 0:
             yield row
         yield [_cell(value) for value in row.values()]
 
 
 def _cell(value: Any) -> Any:
-    return "" if isinstance(value, float) and not np.isfinite(value) else value
+    return "" if isinstance(value, float) and not isfinite(value) else value
 
 
 def gather(plan: Plan, folder: Path) -> tuple[dict[str, FloatArray], dict[int, str]]:

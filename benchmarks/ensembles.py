@@ -247,7 +247,7 @@ def report(arguments: argparse.Namespace) -> dict[str, Any]:
         }
     )
     steps = int((section.segments[0].count - 1) * section.segments[0].step_s)
-    rows = growth(scenario, arguments.vehicles, arguments.jobs, steps, 1 if arguments.quick else 3)
+    rows = growth(scenario, arguments.vehicles, arguments.jobs, steps, 1 if arguments.quick else 5)
     record: dict[str, Any] = {
         "benchmark": "ensembles",
         "steps_a_vehicle": steps,

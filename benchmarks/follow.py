@@ -13,7 +13,9 @@ is IGRF-14 in both.
 from __future__ import annotations
 
 import argparse
+import tempfile
 import time
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,6 +23,8 @@ from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
+import fluxtwin
+import fluxtwin.following
 from fluxtwin.calib.common.records import Calibration
 from fluxtwin.gap.problem.problem import Budget
 from fluxtwin.gap.watch import FIRST_ROWS, FIRST_S, RUN, begin
@@ -167,6 +171,27 @@ def cost() -> float:
     return (time.process_time() - started) / sum(len(block) for block in blocks[1:]) * 1e6
 
 
+def cost_alone() -> float:
+    """Microseconds of a row that comes by itself, one core, the reader included."""
+    world = WORLDS["fine attitude, declared"]
+    record, _ = flight(world, world.first + 400, np.random.default_rng(1))
+    watch = begin(record.select(slice(0, world.first)), MODEL, Budget())
+    with tempfile.TemporaryDirectory() as folder:
+        path = fluxtwin.write(record, Path(folder) / "t.csv")
+        lines = [line for line in path.read_bytes().splitlines(keepends=True) if not line.startswith(b"#")]
+    following: Any = fluxtwin.following
+    pieces = [lines[0] + lines[1], *lines[1 + world.first :]]
+    kept, following._whole_lines = following._whole_lines, lambda _: iter(pieces)
+    try:
+        parts = following._later(following._records("t.csv", {}))
+        watch.take(next(parts))
+        started = time.process_time()
+        count = sum(watch.take(part) is None for part in parts)
+        return (time.process_time() - started) / count * 1e6
+    finally:
+        following._whole_lines = kept
+
+
 def show(record: dict[str, Any]) -> None:
     """The record on the terminal."""
     print(f"stated: a mean run of {RUN:.0e} rows at least")
@@ -181,7 +206,7 @@ def show(record: dict[str, Any]) -> None:
                 f"  {change:<16} median {row['median']:.0f}, 90 % within {row['of_90_percent']:.0f},"
                 f" missed {row['missed']}, before it {row['before_it']}"
             )
-    print(f"\na row takes {record['us_a_row']:.1f} us, in blocks of 1,000")
+    print(f"\na row takes {record['us_a_row']:.1f} us in blocks of 1,000, {record['us_a_row_alone']:.0f} us alone")
 
 
 def main() -> None:
@@ -199,6 +224,7 @@ def main() -> None:
     if min(arguments.runs, arguments.rows, arguments.delays) < 1:
         parser.error("--runs, --rows and --delays: 1 or more")
     record = {"benchmark": "follow", "null": null(arguments), "delay_rows": delays(arguments), "us_a_row": cost()}
+    record["us_a_row_alone"] = cost_alone()
     if arguments.json == "-":
         print(files.to_json(record), end="")
         return

@@ -110,14 +110,14 @@ def _elsewhere(cases: Sequence[Judged]) -> list[dict[str, Any]]:
             0.95,
         ),
         share_row(
-            "another shape that the plain entry carries less than 90 % of: named, or unknown that resembles it",
+            "another shape, of which the catalogue's entry can explain less than 90 %: named, or unknown that resembles it",
             "compared",
             strange,
             lambda c: c.first_right or _resembled(c),
             0.0,
         ),
         share_row(
-            "single whose driving column is missing, of which its replacement carries less than 90 %: the same",
+            "column that drives the effect not recorded, other columns can explain less than 90 %: the same",
             "compared",
             without,
             lambda c: c.first_right or _resembled(c),

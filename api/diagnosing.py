@@ -9,11 +9,14 @@ from typing import Any, TypedDict, Unpack
 
 import numpy as np
 
+from fluxtwin.calib.common.apply import apply_calibration, require_applicable
+from fluxtwin.calib.common.records import Calibration
 from fluxtwin.gap.channels.momentum_arcs import Craft
 from fluxtwin.gap.detectors.noise_level import with_frozen_noise
 from fluxtwin.gap.diagnose import diagnose as investigate_record
 from fluxtwin.gap.held_out import closing, transfer
 from fluxtwin.gap.held_out.closing import Declared as Declared
+from fluxtwin.gap.held_out.taken_out import TakenOut, without_effects
 from fluxtwin.gap.planning.base import base_tree
 from fluxtwin.gap.problem.problem import DEFAULT_MODELLED, Budget
 from fluxtwin.gap.records.diagnosis import Diagnosis
@@ -172,6 +175,34 @@ def close(
         declared or Declared(),
     )
     return replace(diagnosis, transfers=transfers), made
+
+
+def apply_closed(record: Telemetry, scenario: Scenario | Path | str, *, force: bool = False) -> TakenOut:
+    """The record without the effects of a closed scenario, and corrected by its S, b and T (equation 1).
+
+    Raises BadInput as `apply_calibration`, for the time that the scenario was closed on, and NoAnswer without readings.
+    """
+    config = as_scenario(scenario)
+    _require_something(record := _with_scenario(record, config))
+    instrument = spacecraft.magnetometer(config)
+    closure, span = config.closure, None
+    if closure is not None and closure.from_utc is not None and closure.to_utc is not None:
+        span = (epoch.parse_time(closure.from_utc), epoch.parse_time(closure.to_utc))
+    known = Calibration(
+        instrument.S,
+        instrument.b_nT,
+        instrument.T_nT_per_Am2,
+        sigma_nT=config.magnetometer.white_nT or 0.0,
+        span=span,
+        field_model=config.field.model,
+        method=f"the scenario {config.name}",
+        spacecraft=record.spacecraft,
+        magnetometer=record.magnetometer,
+    )
+    if not force:
+        require_applicable(record, known)
+    found = without_effects(record, load_field(config.field.model, config.field.degree), instrument, frozen(config))
+    return replace(found, telemetry=apply_calibration(found.telemetry, known, force=force))
 
 
 def _require_something(record: Telemetry) -> None:

@@ -32,6 +32,8 @@ _FACTS = {
 }
 """What the page calls a fact of the provenance, where its own name does not say it."""
 PLAN = "To find out, run fluxtwin plan on the same file: it proposes what to fly."
+CORRECT = "fluxtwin apply --scenario CLOSED.toml corrects the readings with the named effects taken out"
+"""What to do with a closed scenario."""
 _ALL_TESTED = "Every effect of the catalogue could be tested."
 
 
@@ -136,8 +138,8 @@ def _next_step(diagnosis: Diagnosis) -> str:
     if diagnosis.verdict == "unknown" or any(len(effect.group) > 1 for effect in diagnosis.effects):
         return "run fluxtwin plan with the same file; it proposes what to fly to find out."
     if diagnosis.transfers is not None:
-        return "diagnose the telemetry of another day with --scenario and the closed scenario."
-    return "diagnose again with --close CLOSED.toml, and test that scenario on the telemetry of another day."
+        return f"{CORRECT}; diagnose the telemetry of another day with --scenario CLOSED.toml."
+    return f"diagnose again with --close CLOSED.toml. {CORRECT}; test that scenario on the telemetry of another day."
 
 
 def tables(diagnosis: Diagnosis) -> list[Table]:

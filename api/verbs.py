@@ -151,17 +151,29 @@ def calibrate(
 @with_reading
 def apply(
     telemetry: Readable,
-    calibration: Calibration | Path | str,
+    calibration: Calibration | Path | str | None = None,
     *,
+    scenario: Scenario | Path | str | None = None,
     force: bool = False,
     **reading: Unpack[Reading],
 ) -> Telemetry:
     """The record with (I + S) B + b + T D in place of its readings B. Missing rows stay missing.
 
+    scenario: in place of a calibration, a scenario that a diagnosis has closed. Its effects are taken out of readings and
+    positions first (those of spacecraft and sensor, and the error along the track), then its own S, b and T act.
+
     Raises BadInput for a record that is corrected already, and for a calibration of another spacecraft or another time;
     force corrects it all the same.
     """
-    return apply_calibration(as_record(telemetry, **reading), as_calibration(calibration), force=force)
+    record = as_record(telemetry, **reading)
+    if (calibration is None) == (scenario is None):
+        raise BadInput("wants a calibration or a scenario", where="apply", wanted="one of the two")
+    if scenario is not None:
+        from fluxtwin.diagnosing import apply_closed
+
+        return apply_closed(record, scenario, force=force).telemetry
+    assert calibration is not None
+    return apply_calibration(record, as_calibration(calibration), force=force)
 
 
 @with_reading

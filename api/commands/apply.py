@@ -17,11 +17,18 @@ BRIEF = "Correct telemetry with a calibration file."
 def command(
     output: Output,
     telemetry: TelemetryArgument,
-    calibration: Annotated[Path, typer.Option(metavar="FILE.toml", help="Calibration file.")],
     out: of.OutOption,
+    calibration: Annotated[Path | None, typer.Option(metavar="FILE.toml", help="Calibration file.")] = None,
+    scenario: Annotated[
+        Path | None,
+        typer.Option(metavar="CLOSED.toml", help="In place of it: a closed scenario, with its effects taken out too."),
+    ] = None,
     reading: of.Reading = of.READING,
 ) -> None:
     """Write telemetry with the readings corrected by (I+S) B + b + T D [nT]; other columns as they are.
+
+    With --scenario the effects of a closed scenario are taken out first: of spacecraft and sensor from the readings, an
+    error along the track from the positions.
 
     Refused, unless --force, are readings that are corrected already and a calibration of another spacecraft or time.
     """
@@ -30,12 +37,26 @@ def command(
 
         from fluxtwin import outputs, verbs
         from fluxtwin.calib.common.apply import outside_span
+        from fluxtwin.sim.base.errors import BadInput
         from fluxtwin.sim.telemetry.telemetry_files import write_telemetry
 
-        output.claim({"--out": (out, outputs.TELEMETRY)}, [telemetry, calibration, *reading.files])
+        if (calibration is None) == (scenario is None):
+            raise BadInput(
+                "wants one of them",
+                where="--calibration, --scenario",
+                wanted="a calibration file, or a closed scenario",
+            )
+        output.claim({"--out": (out, outputs.TELEMETRY)}, [telemetry, calibration, scenario, *reading.files])
         record = read(telemetry, output, reading)
-        known = known_calibration(calibration, record, output)
-        corrected = verbs.apply(record, known, force=output.force)
+        known, effects = None, None
+        if scenario is not None:
+            from fluxtwin import diagnosing
+
+            effects = diagnosing.apply_closed(record, scenario, force=output.force)
+            corrected = effects.telemetry
+        elif calibration is not None:
+            known = known_calibration(calibration, record, output)
+            corrected = verbs.apply(record, known, force=output.force)
         change = corrected.mag_B_nT - record.mag_B_nT
         moved = change[np.isfinite(change).all(axis=1)]
         write_telemetry(corrected, out)
@@ -43,7 +64,13 @@ def command(
     output.say(f"{len(moved)} of {len(record)} samples corrected")
     if rms is not None:
         output.say("rms change x, y, z: " + ", ".join(f"{x:.1f}" for x in rms) + " nT")
-    beyond = outside_span(record, known)
+    if effects is not None:
+        output.say(f"effects taken out: {', '.join(effects.taken) or 'none'}")
+        if effects.left:
+            output.say(
+                f"still there, as no error of readings or positions that is known row by row: {', '.join(effects.left)}"
+            )
+    beyond = None if known is None else outside_span(record, known)
     output.say(f"the new file is marked as corrected by {corrected.corrected_by}")
     output.say(f"  {out}")
     output.result(
@@ -53,6 +80,7 @@ def command(
             "rms_change_nT": rms,
             "corrected_by": corrected.corrected_by,
             "outside_span": beyond,
+            **({} if effects is None else {"taken_out": list(effects.taken), "left": list(effects.left)}),
             "written": [str(out)],
         }
     )

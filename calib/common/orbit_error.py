@@ -14,6 +14,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from fluxtwin.sim.base.errors import NoAnswer
+from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import frames
 from fluxtwin.sim.earth.references import OF_POSITION, rotation_XN
 from fluxtwin.sim.telemetry.companions import ALONG_TRACK_KM, ATTITUDE_OF_ORBIT
@@ -60,13 +61,15 @@ def stated_km(telemetry: Telemetry) -> float:
     return size if 0.0 < size < _EARTH_KM else 0.0
 
 
-def ahead(telemetry: Telemetry, distance_km: float) -> Telemetry:
-    """The record with its positions that far ahead on a circle, and with what the attitude takes from them."""
+def ahead(telemetry: Telemetry, distance_km: float | FloatArray) -> Telemetry:
+    """The record with its positions that far, one number or (N,), ahead on a circle, and what the attitude takes of them."""
     assert telemetry.r_N_km is not None and telemetry.v_N_km_s is not None
     r, v = np.array(telemetry.r_N_km), np.array(telemetry.v_N_km_s)
     rows = np.flatnonzero(np.isfinite(np.hstack([r, v])).all(axis=1))
     normal = np.cross(r[rows], v[rows])
-    angle = distance_km / np.linalg.norm(r[rows], axis=1) / np.linalg.norm(normal, axis=1)
+    angle = (
+        np.broadcast_to(distance_km, len(r))[rows] / np.linalg.norm(r[rows], axis=1) / np.linalg.norm(normal, axis=1)
+    )
     turn = Rotation.from_rotvec(normal * angle[:, None])
     new_r, new_v, q = r.copy(), v.copy(), telemetry.q_NB
     new_r[rows], new_v[rows] = turn.apply(r[rows]), turn.apply(v[rows])

@@ -30,7 +30,7 @@ def sentences(summary: dict[str, Any]) -> list[str]:
         )
     bare = summary["without_effects"]
     if bare["runs"]:
-        said.append(f"Of {bare['runs']} runs without an effect {bare['no_gap']} were answered with no gap.")
+        said.append(f"Of {bare['runs']} runs without an effect, {bare['no_gap']} were answered with no gap.")
     false = sum(summary["false_names"].values())
     if summary["diagnosed"]:
         said.append(f"{summary['diagnosed']} diagnosed runs gave {false or 'no'} false names.")

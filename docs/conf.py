@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import itertools
 import re
 from pathlib import Path
 from typing import Any
@@ -33,30 +34,39 @@ autodoc_typehints = "none"
 autodoc_member_order = "bysource"
 add_module_names = False
 
-PARAMETERS = re.compile(r"([a-z_]\w*(?:, [a-z_]\w*)*): (.*)")
+PARAMETERS = re.compile(r"(?:^|(?<=[.;] ))([a-z_]\w*(?:, [a-z_]\w*)*): ")
+OUTCOME = re.compile(r"(?<=[.;] )(?:Raises|Returns) ")
 
 
 def parameters_as_list(_app: Any, _what: str, _name: str, thing: Any, _options: Any, lines: list[str]) -> None:
-    """A line of a docstring that begins with parameters and a colon is an item of a list, to the next one or a blank line;
-    bars (|B|) are bars."""
+    """In a paragraph of a docstring that begins with parameters and a colon, each parameter is an item of a list, and what
+    is raised or returned a paragraph of its own; bars (|B|) are bars."""
     try:
         known = {name.lstrip("*") for name in inspect.signature(thing).parameters}
     except (TypeError, ValueError):
         known = set()
+    escaped = [re.sub(r"\|(?=[^`]*(?:`[^`]*`[^`]*)*$)", r"\|", line) for line in lines]
     made: list[str] = []
-    inside = False
-    for line in lines:
-        entry = PARAMETERS.fullmatch(line)
-        text = re.sub(r"\|(?=[^`]*(?:`[^`]*`[^`]*)*$)", r"\|", line)
-        if entry and known.issuperset(entry[1].split(", ")):
-            if made and made[-1] and not inside:
-                made.append("")
-            inside = True
-            made.append(f"* ``{entry[1].replace(', ', '``, ``')}``: {text[len(entry[1]) + 2 :]}")
-        else:
-            inside = inside and bool(line)
-            made.append(f"  {text}" if inside else text)
+    for paragraph in "\n".join(escaped).split("\n\n"):
+        made += [*_items(paragraph, known), ""]
     lines[:] = made
+
+
+def _items(paragraph: str, known: set[str]) -> list[str]:
+    text = paragraph.replace("\n", " ").strip()
+    entries = {entry.start(): entry for entry in PARAMETERS.finditer(text) if known.issuperset(entry[1].split(", "))}
+    if 0 not in entries:
+        return paragraph.split("\n")
+    starts = sorted([*entries, *(outcome.start() for outcome in OUTCOME.finditer(text))])
+    made: list[str] = []
+    for start, end in itertools.pairwise([*starts, len(text)]):
+        piece = text[start:end].rstrip("; ")
+        if start in entries:
+            names = entries[start][1]
+            made.append(f"* ``{names.replace(', ', '``, ``')}``: {piece[len(names) + 2 :]}")
+        else:
+            made += ["", piece]
+    return made
 
 
 def outside_as_files(_app: Any, name: str, source: list[str]) -> None:

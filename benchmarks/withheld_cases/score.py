@@ -117,7 +117,7 @@ def _elsewhere(cases: Sequence[Judged]) -> list[dict[str, Any]]:
             0.0,
         ),
         share_row(
-            "column that drives the effect not recorded, other columns can explain less than 90 %: the same",
+            "single whose column was not recorded, of which other columns can explain less than 90 %: the same",
             "compared",
             without,
             lambda c: c.first_right or _resembled(c),

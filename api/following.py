@@ -252,6 +252,7 @@ def _records(path: str, reading: Reading) -> Generator[Telemetry, None, None]:
                 head, _, lines = without_comments(lines, [])[0].partition(b"\n")
             if not lines.strip():
                 continue
+            part.unlink(missing_ok=True)  # a new file is not written through to the disk, one that is cut short is
             part.write_bytes(head + b"\n" + lines)
             try:
                 yield read_telemetry(part, **reading)

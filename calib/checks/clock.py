@@ -107,10 +107,11 @@ def shifted(
         return field, None if sample.q_NB is None else sample.R_BN
     if origin.attitude == "ITRS":
         return field, sample.R_BN * stated.inv() * R_EN
-    old, new = frames.rotation_ON(sample.r_N_km, sample.v_N_km_s), frames.rotation_ON(r, v)
     if origin.attitude in ("NEC", "NED"):  # the vertical turns by as much, whichever it is
         old = frames.rotation_NEC_E(stated.apply(sample.r_N_km)) * stated
         new = frames.rotation_NEC_E(R_EN.apply(r)) * R_EN
+    else:
+        old, new = frames.rotation_ON(sample.r_N_km, sample.v_N_km_s), frames.rotation_ON(r, v)
     return field, sample.R_BN * old.inv() * new
 
 

@@ -112,7 +112,7 @@ def comparable(telemetry: Telemetry, model: FieldModel, usable: BoolArray, *, wi
     size = np.linalg.norm(telemetry.mag_B_nT[rows], axis=1)
     rows = rows[size < 3.0 * np.median(size)]  # single bit errors must not decide
     time, r, v = telemetry.time[rows], np.array(telemetry.r_N_km[rows]), telemetry.v_N_km_s
-    return Sample(
+    sample = Sample(
         rows,
         time,
         r,
@@ -121,6 +121,8 @@ def comparable(telemetry: Telemetry, model: FieldModel, usable: BoolArray, *, wi
         np.array(telemetry.q_NB[rows]) if telemetry.q_NB is not None and with_attitude else None,
         velocity_from_positions(time, r) if v is None else np.array(v[rows]),
     )
+    moving = np.isfinite(sample.v_N_km_s).all(axis=1)  # a few positions between two gaps give none
+    return sample.take(moving) if 2 * moving.sum() > moving.size else sample
 
 
 def rms(vectors: FloatArray) -> float:

@@ -16,11 +16,11 @@ from scipy.spatial.transform import Rotation
 from fluxtwin import load_scenario
 from fluxtwin.calib.checks.calibrated import _misfit_nT
 from fluxtwin.calib.checks.check import check_file, check_telemetry, repair
-from fluxtwin.calib.checks.clock import named_shift, shifts_s
+from fluxtwin.calib.checks.clock import check_clock, named_shift, shifts_s
 from fluxtwin.calib.checks.evidence import _covariances
 from fluxtwin.calib.checks.orientation import _mountings
 from fluxtwin.calib.checks.outliers import without_gross_outliers
-from fluxtwin.calib.checks.sample import comparable
+from fluxtwin.calib.checks.sample import Origin, comparable
 from fluxtwin.calib.checks.values import _plane_wander
 from fluxtwin.scenarios.seasat import mission
 from fluxtwin.sim.attitude import record as attitude
@@ -626,3 +626,13 @@ def test_terrestrial_time_is_a_clock_that_is_tried(model: FieldModel) -> None:
         assert tried == pytest.approx(tt_s, abs=1e-6)
         assert 'or time.scale = "TT"' in named_shift(tried, shifts_s(sample)[tried], 900.0, 30.0)
         assert 'or time.scale = "UTC"' in named_shift(-tried, shifts_s(sample)[-tried], 900.0, 30.0)
+
+
+def test_two_rows_between_gaps_do_not_end_a_check(model: FieldModel) -> None:
+    """They have no velocity of their own, which an attitude relative to the orbital frame needs."""
+    rows = np.r_[0:200, 300:302, 400:600]
+    record = good(model).replace(v_N_km_s=None).select(rows)
+    found = comparable(record, model, np.ones(rows.size, dtype=np.bool_), with_attitude=True)
+    assert found is not None and len(found) == rows.size - 2
+    assert np.isfinite(found.v_N_km_s).all()
+    assert [one.severity for one in check_clock(found, model, Origin(attitude="orbital"))] == ["note"]

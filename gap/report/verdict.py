@@ -183,7 +183,8 @@ def _conclude(work: Work) -> _Conclusion:
     unknown = work.known < 0.5 and work.attitude_would_do_rad is None
     unexplained = (not named and (unknown or bool(answer.result.named))) or momentum.unexplained
     excess = None
-    if not unexplained and not work.flexible:  # a named noise, walk or line stays in the residual
+    stays = any(one.name != "bit_errors" for one in work.flexible)  # a named noise, walk or line stays in the residual
+    if not unexplained and not stays:
         excess = level.beyond_budget(problem, answer)
     if not unexplained and excess is None and work.loud is not None:
         excess = Excess("sensor", work.loud)

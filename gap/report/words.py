@@ -136,9 +136,9 @@ def _closed(effects: Sequence[FoundEffect], gap: Shrinkage, momentum: MomentumGa
             f"{which} leave{s} the readings unchanged and lower{s} the misfit of the attitude to the momentum balance from "
             f"{momentum.before_deg:.2g} to {momentum.after_deg:.2g} deg{share}"
         )
+    if all(effect.name == "bit_errors" for effect in effects):
+        return "; the wrong readings are excluded from the figures before and after"
     if gap.closed is None:
-        if all(effect.name == "bit_errors" for effect in effects):
-            return "; the wrong readings are excluded from the figures before and after"
         return _not_measured(effects, gap)
     share = f"close{s} {100 * gap.closed:.0f} % of the gap"
     if gap.after_nT == gap.before_nT:

@@ -262,3 +262,14 @@ def test_what_could_not_be_tested_is_said_beside_what_follows_the_same() -> None
     one = words.not_tested(["axis_skew"])
     assert one == " These data cannot test axis_skew, which follows the same quantity and may be the cause instead."
     assert "which follow the same" in words.not_tested(["axis_skew", "sensor_lag"])
+
+
+def test_wrong_readings_close_no_share_of_a_gap(record: Telemetry) -> None:
+    """A few flipped bits, and an attitude error half as large again as declared: they are excluded, and close nothing."""
+    reading, rows = np.array(record.mag_B_nT), np.arange(90, 1700, 270)
+    code = np.rint(reading[rows, 0] / 10.0).astype(np.int64)
+    reading[rows, 0] += 10.0 * ((code ^ 1024) - code)
+    declared = replace(DECLARED, attitude_sigma_rad=0.7 * (DECLARED.attitude_sigma_rad or 0.0))
+    found = asked(record.replace(mag_B_nT=reading), declared)
+    assert [one.name for one in found.effects] == ["bit_errors"]
+    assert "the wrong readings are excluded from the figures" in found.sentence and "closes" not in found.sentence

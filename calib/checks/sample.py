@@ -121,7 +121,7 @@ def comparable(telemetry: Telemetry, model: FieldModel, usable: BoolArray, *, wi
         np.array(telemetry.q_NB[rows]) if telemetry.q_NB is not None and with_attitude else None,
         velocity_from_positions(time, r) if v is None else np.array(v[rows]),
     )
-    moving = np.isfinite(sample.v_N_km_s).all(axis=1)  # a few positions between two gaps give none
+    moving = np.asarray(np.isfinite(sample.v_N_km_s).all(axis=1))  # a few positions between two gaps give none
     return sample.take(moving) if 2 * moving.sum() > moving.size else sample
 
 

@@ -12,8 +12,10 @@ Controlled Clinical Trials 7, 177); what each vehicle says is drawn towards thei
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -133,7 +135,7 @@ def fleet(vehicles: Sequence[str], diagnoses: Sequence[Diagnosis]) -> Fleet:
             wanted="three or more: with two, nothing says which one differs",
         )
     named = [{name for found in one.effects for name in found.group} for one in diagnoses]
-    widely = {name for names in named for name in names if 2 * sum(name in other for other in named) >= len(named)}
+    widely = _of_most(named)
     # What one vehicle alone is named to have is taken out of its scores; what most have is what they have in common.
     tables = [
         {score.label: score for score in one.scores[bool(names - widely)]}
@@ -154,8 +156,7 @@ def fleet(vehicles: Sequence[str], diagnoses: Sequence[Diagnosis]) -> Fleet:
         group = [name for name, (value, _, _) in ranked if top - value < TWENTY_TO_ONE]
         group += [name for name, _ in ranked if name not in group and _imitate(diagnoses, group[0], name)]
         alike = [{*found.group} for one in diagnoses for found in one.effects if {*found.group} & {*group}]
-        usual = {name for each in alike for name in each if 2 * sum(name in other for other in alike) >= len(alike)}
-        group += sorted(usual - {*group})
+        group += sorted(_of_most(alike) - {*group})
         weights = dict(zip([name for name, _ in ranked], softmax([0.5 * v for _, (v, _, _) in ranked]), strict=True))
         inside = float(sum(weights.get(name, 0.0) for name in group)) * float(expit(0.5 * (top - THRESHOLD)))
         common = _sizes([table[ranked[0][1][1]] for table in tables], tuple(group), stated(inside))
@@ -245,10 +246,11 @@ def _faults(
     """What single vehicles are said to have and most others have not; and sizes that differ from those of all others."""
     count = len(diagnoses)
     known = set() if common is None else set(common.group)
+    named_by = Counter(chain.from_iterable(named))
     faults = []
     for vehicle, one in enumerate(diagnoses):
         for found in one.effects:
-            others = sum(bool({found.name} & names) for place, names in enumerate(named) if place != vehicle)
+            others = named_by[found.name] - (found.name in named[vehicle])
             if not known & set(found.group) and 2 * others < count - 1:
                 faults.append(Fault(vehicle, found.name, found.probability, odd=False))
     # Beside a common effect only its own size is compared: the scores of others hold what it leaves in them.
@@ -258,8 +260,9 @@ def _faults(
     for label in compared:
         scores = [table[label] for table in tables]
         effect: Effect = scores[0].effect
-        for vehicle in range(count):
-            apart, rank = _explained_apart(scores[vehicle], [*scores[:vehicle], *scores[vehicle + 1 :]])
+        whole = [np.sum([getattr(one, of) for one in scores], axis=0) for of in ("score", "information")]
+        for vehicle, one_score in enumerate(scores):
+            apart, rank = _explained_apart(one_score, *whole)
             p = float(chi2.sf(apart, rank)) if rank else 1.0
             if p < limit and p < odd.get(vehicle, (1.0, ""))[0]:
                 odd[vehicle] = (p, effect.name)
@@ -272,11 +275,16 @@ def _faults(
     return tuple(sorted(faults, key=lambda fault: (fault.vehicle, -fault.probability)))
 
 
-def _explained_apart(one: Score, others: Sequence[Score]) -> tuple[float, int]:
-    """Chi-square by which one vehicle's size differs from that of the others together, and its rank."""
-    rest_score = sum((other.score for other in others), np.zeros_like(one.score))
-    rest = sum((other.information for other in others), np.zeros_like(one.information))
+def _of_most(sets: Sequence[set[str]]) -> set[str]:
+    """Names in at least half of some sets."""
+    return {name for name, count in Counter(chain.from_iterable(sets)).items() if 2 * count >= len(sets)}
+
+
+def _explained_apart(one: Score, score: FloatArray, information: FloatArray) -> tuple[float, int]:
+    """Chi-square by which one vehicle's size differs from that of the others together, and its rank.
+
+    score (p,) and information (p, p): sums over all vehicles."""
     alone, rank = explained_in_units(one.information, one.score)
-    theirs, _ = explained_in_units(rest, rest_score)
-    together, _ = explained_in_units(one.information + rest, one.score + rest_score)
+    theirs, _ = explained_in_units(information - one.information, score - one.score)
+    together, _ = explained_in_units(information, score)
     return max(alone + theirs - together, 0.0), rank

@@ -30,6 +30,7 @@ from fluxtwin.sim.effects.base import SignalEffect
 from fluxtwin.sim.effects.chain import Active
 from fluxtwin.sim.run.world import build_world
 from fluxtwin.sim.scenario.scenario import Scenario
+from fluxtwin.sim.spacecraft.sensors.magnetometer import Magnetometer
 from fluxtwin.sim.spacecraft.torquers import coupling_nT_per_Am2
 from fluxtwin.sim.telemetry.record import Telemetry
 
@@ -116,8 +117,8 @@ def _answer(
     config: Scenario, case: Case, used: Telemetry, later: Telemetry, ground: FieldModel, progress: Progress
 ) -> Numbers:
     found = diagnosed(used, ground, config, case.modelled, progress)
-    alone = settled(pose(used, ground, modelled=case.modelled, budget=_budget(config))).modelled_active
-    problem, residual = _left(used, ground, alone, config)
+    alone = settled(pose(used, ground, modelled=case.modelled, budget=_budget(config)))
+    problem, residual = _left(used, ground, alone.modelled_active, config, alone.setting.instrument)
     longitude_latitude = frames.geocentric(problem.setting.R_EN.apply(problem.setting.given[0]))[:2]
     names = [effect.name for effect in found.effects]
     return Numbers(
@@ -160,16 +161,15 @@ def _budget(config: Scenario) -> Budget:
 
 
 def _left(
-    telemetry: Telemetry, ground: FieldModel, active: Sequence[Active], config: Scenario
+    telemetry: Telemetry, ground: FieldModel, active: Sequence[Active], config: Scenario, instrument: Magnetometer
 ) -> tuple[Problem, FloatArray]:
     """The record with effects applied as they are, and its residual (N, 3) in row axes; NaN where not measured."""
-    problem = realigned(pose(telemetry, ground, modelled=(), budget=_budget(config), frozen=active))
+    given = pose(telemetry, ground, modelled=(), budget=_budget(config), frozen=active, instrument=instrument)
+    problem = realigned(given)
     return problem, np.where(problem.measured, problem.in_row_axes(problem.residual_nT), np.nan)
 
 
-def _later(
-    found: Diagnosis, alone: Sequence[Active], later: Telemetry, ground: FieldModel, config: Scenario
-) -> Numbers:
+def _later(found: Diagnosis, alone: Problem, later: Telemetry, ground: FieldModel, config: Scenario) -> Numbers:
     """The first named cause on the passes that were not used."""
     first, closure = found.effects[0], found.closure
     if closure is None or closure.empty:
@@ -177,8 +177,8 @@ def _later(
         return _later_angle(open_channel(later, fewest=1), later.time, first.name, first.settings.get("head"), values)
     searched = [(one.effect, one.theta) for one in closure.stochastic if isinstance(one.effect, SignalEffect)]
     fit = refit(Readings(closure.problem, closure.whitener), [*closure.chosen, *searched], modelled=closure.modelled)
-    bare, before = _left(later, ground, alone, config)
-    full, after = _left(later, ground, fit.active, config)
+    bare, before = _left(later, ground, alone.modelled_active, config, alone.setting.instrument)
+    full, after = _left(later, ground, fit.active, config, closure.problem.setting.instrument)
     quiet = full.chain.reading_nT(fit.modelled)
     acts = np.linalg.norm(full.chain.reading_nT(fit.active) - quiet, axis=1) > 1.0
     return _by_pass(bare.time, before, after, acts, "nT", found.gap.floor_with_effects_nT)

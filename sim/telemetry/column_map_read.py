@@ -164,7 +164,9 @@ class _Reader:
         """Stamps that the file has as such, in the recipe's time scale."""
         names = [self._named(name) for name in recipe.names]
         if recipe.recipe == "cf" and not isinstance(self.file, CsvFile):
-            return zones.utc(self._blanked(self.file.times(names[0]), np.datetime64("NaT")), recipe.zone, self.where)
+            return zones.utc(
+                self._blanked(self.file.times(names[0]), np.datetime64("NaT", "ns")), recipe.zone, self.where
+            )
         if recipe.recipe == "cf" or isinstance(self.file, NetcdfFile):
             raise BadInput(f"time recipe {recipe.recipe} does not fit this kind of file", where=self.where)
         text = self._blanked(time_recipes.joined(self.file.text, names), b"")

@@ -58,7 +58,7 @@ def utc(local: TimeArray, zone: str | None, where: str) -> TimeArray:
     ahead = first.copy()
     twice = np.flatnonzero(first > second)
     for autumn in np.split(twice, np.flatnonzero(np.abs(np.diff(local[there[twice]])) > np.timedelta64(1, "D")) + 1):
-        back = np.flatnonzero(np.diff(local[there[autumn]]) < np.timedelta64(0))
+        back = np.flatnonzero(np.diff(local[there[autumn]]) < np.timedelta64(0, "ns"))
         if autumn.size and back.size != 1:
             row = there[autumn[0]]
             raise BadInput(

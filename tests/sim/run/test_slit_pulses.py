@@ -51,7 +51,7 @@ def test_a_saved_scenario_makes_the_pulses(close) -> None:
 
 
 def test_a_slit_wants_a_spinner() -> None:
-    with pytest.raises(BadInput, match=r"\[slit_sun_sensor\] wants a free spin"):
+    with pytest.raises(BadInput, match=r"\[slit_sun_sensor\] needs a free spin"):
         mission.scenario().updated({"attitude": {"mode": "earth_pointing"}})
 
 

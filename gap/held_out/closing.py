@@ -15,6 +15,7 @@ from fluxtwin.gap.noise.budget import reading_spacing
 from fluxtwin.gap.problem.problem import CALIBRATION, calibrated, corrected
 from fluxtwin.gap.records.diagnosis import Closure, EffectParameter, Transfer
 from fluxtwin.gap.selection.forward import RATIOS
+from fluxtwin.gap.selection.named import parameters_of
 from fluxtwin.gap.selection.refit import Readings, covariance_of, refit
 from fluxtwin.sim.base.errors import BadInput, NoAnswer
 from fluxtwin.sim.base.types import FloatArray
@@ -163,10 +164,7 @@ def reestimated(closure: Closure) -> dict[str, dict[str, EffectParameter]]:
         spread = sigma[start : start + len(theta)]
         start += len(theta)
         if effect.name not in CALIBRATION:
-            found[effect.name] = {
-                one.name: EffectParameter(float(value), float(wide) if np.isfinite(wide) else None, one.unit)
-                for one, value, wide in zip(effect.parameters, theta, spread, strict=True)
-            }
+            found[effect.name] = parameters_of(effect, theta, spread)
     return found
 
 

@@ -48,10 +48,7 @@ def found_effect(
         group=backing.group,
         rivals=backing.rivals,
         probability=backing.probability,
-        parameters={
-            one.name: EffectParameter(float(value), float(spread) if np.isfinite(spread) else None, one.unit)
-            for one, value, spread in zip(effect.parameters, theta, sigma, strict=True)
-        },
+        parameters=parameters_of(effect, theta, sigma),
         settings=settings_of(effect),
         stage=effect.stage,
         axis=axis,
@@ -62,6 +59,14 @@ def found_effect(
         effect=effect,
         covariance=covariance,
     )
+
+
+def parameters_of(effect: Effect, theta: FloatArray, sigma: FloatArray) -> dict[str, EffectParameter]:
+    """By name: values and sigmas (p,) with their units; a sigma that is not finite is not known."""
+    return {
+        one.name: EffectParameter(float(value), float(spread) if np.isfinite(spread) else None, one.unit)
+        for one, value, spread in zip(effect.parameters, theta, sigma, strict=True)
+    }
 
 
 def axis_of(energy: FloatArray) -> str | None:

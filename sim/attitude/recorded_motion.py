@@ -92,9 +92,7 @@ class RecordedMotion:
             return dataclasses.replace(self, R_BN=Rotation.from_rotvec(turn) * self.R_BN)
         turn = errors_rad(self.denser.time)
         own = np.zeros((self.time.size, 3))
-        own[slice(None) if self.attitude_known is None else self.attitude_known] = turn[
-            self._among(epoch.seconds_since(self.denser.time, self.time[0]))
-        ]
+        own[slice(None) if self.attitude_known is None else self.attitude_known] = turn[self._among(self._denser_s)]
         denser = dataclasses.replace(self.denser, R_BN=Rotation.from_rotvec(turn) * self.denser.R_BN)
         return dataclasses.replace(self, R_BN=Rotation.from_rotvec(own) * self.R_BN, denser=denser)
 
@@ -130,7 +128,7 @@ class RecordedMotion:
         track = attitude_track.smoothed(self.seconds[known], self.R_BN[known], gyro)
         if self.denser is None:
             return track
-        stamps = epoch.seconds_since(self.denser.time, self.time[0])
+        stamps = self._denser_s.copy()
         stamps[self._among(stamps)] = track.time_s
         return attitude_track.better(track, attitude_track.smoothed(stamps, self.denser.R_BN, self.denser.rate_B_rad_s))
 
@@ -152,6 +150,11 @@ class RecordedMotion:
     def _stamps(self) -> attitude_track.RowArray:
         """Stamps of the track that the rows with a known attitude are."""
         return self._among(self.smoothed.time_s)
+
+    @cached_property
+    def _denser_s(self) -> FloatArray:
+        """(M,) stamps of the denser record, from the first stamp of these rows; none without one."""
+        return np.zeros(0) if self.denser is None else epoch.seconds_since(self.denser.time, self.time[0])
 
     def _among(self, stamps_s: FloatArray) -> attitude_track.RowArray:
         """Which of rising stamps (M,) the rows with a known attitude are."""

@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -38,11 +39,12 @@ with others, in which an end by a signal would be noticed.
 [SECURITY.md](../SECURITY.md) says what is refused, with the limits.
 
 - *While a file is written*: the old or the new file must be whole, with a message and exit 2, and nothing else left.
+- *Commit*: the one that was tried. A row that was not tried again keeps its own.
 - The last row is about the tests: `benchmarks/mutants.py` puts one small fault at a time into the product
   ([those not noticed](design/unnoticed.md)).
 
-| trial | how many | faults | wanted | found |
-|---|---|---|---|---|
+| trial | how many | faults | wanted | found | commit |
+|---|---|---|---|---|---|
 """
 
 
@@ -80,12 +82,20 @@ def measured(options: argparse.Namespace) -> Iterator[Row]:
         if options.only and name not in options.only:
             continue
         with TemporaryDirectory(prefix="fluxtwin-trust-") as folder:
-            yield from part(Path(folder))
+            for row in part(Path(folder)):
+                row.commit = _commit()
+                yield row
+
+
+def _commit() -> str:
+    """Of this checkout; nothing where it has none."""
+    command = ["git", "rev-parse", "--verify", "--quiet", "--short=7", "HEAD"]
+    return subprocess.run(command, cwd=PAGE.parent, capture_output=True, text=True, check=False).stdout.strip()
 
 
 def as_line(row: Row) -> str:
     """One line of the table in Markdown."""
-    return f"| {row.name} | {row.trials} | {len(row.faults)} | {row.reach} | {row.note} |"
+    return f"| {row.name} | {row.trials} | {len(row.faults)} | {row.reach} | {row.note} | {row.commit} |"
 
 
 def page(rows: list[Row], in_part: bool) -> str:

@@ -32,6 +32,7 @@ class Row:
     faults: list[str] = field(default_factory=list)
     reach: str = "0 faults"
     note: str = ""
+    commit: str = ""
     seconds: float = 0.0
 
     def fault(self, what: str) -> None:

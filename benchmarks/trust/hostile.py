@@ -46,13 +46,17 @@ def readers(folder: Path, trials: int, slow_trials: int) -> list[Row]:
     """Mutants of every kind through its reader. trials: of all the fast kinds together; slow_trials: of each slow one."""
     made = corpus.make(folder)
     fast = [name for name in made if name not in corpus.SLOW]
-    refusals = []
+    shares = {}
     with timed(Row("damaged files through their readers", reach="0 signals, tracebacks, hangs")) as row:
         for name, read in made.items():
             count = slow_trials if name in corpus.SLOW else -(-trials // len(fast))
             row.trials += count
-            refusals.append(f"{name} {_refused(row, folder, name, read, count)} of {count}")
-        row.note = f"refused: {', '.join(refusals)}"
+            shares[name] = _refused(row, folder, name, read, count) / count
+        least, most = min(shares, key=shares.__getitem__), max(shares, key=shares.__getitem__)
+        row.note = (
+            f"damaged copies of {len(shares)} files were read: from {100 * shares[least]:.0f} % ({least}) to"
+            f" {100 * shares[most]:.0f} % ({most}) were refused, the file named; the others could still be read"
+        )
     return [row]
 
 

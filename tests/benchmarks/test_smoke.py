@@ -130,7 +130,7 @@ def test_files_can_be_trusted(tmp_path: Path) -> None:
     assert all(row["trials"] or "no right" in row["note"] for row in rows.values())
     assert rows["one bit flipped in a file of ours"]["trials"] >= 120
     readers = 22 - (importlib.util.find_spec("pyarrow") is None)
-    assert rows["damaged files through their readers"]["note"].count(" of ") == readers
+    assert f"copies of {readers} files" in rows["damaged files through their readers"]["note"]
     assert len(rows) == 1 + 1 + 1 + 1 + 6
 
 

@@ -13,7 +13,7 @@ Controlled Clinical Trials 7, 177); what each vehicle says is drawn towards thei
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from itertools import chain
 from typing import Any
@@ -135,22 +135,20 @@ def fleet(vehicles: Sequence[str], diagnoses: Sequence[Diagnosis]) -> Fleet:
             wanted="three or more: with two, nothing says which one differs",
         )
     named = [{name for found in one.effects for name in found.group} for one in diagnoses]
-    widely = _of_most(named)
-    # What one vehicle alone is named to have is taken out of its scores; what most have is what they have in common.
-    tables = [
-        {score.label: score for score in one.scores[bool(names - widely)]}
-        for one, names in zip(diagnoses, named, strict=True)
-    ]
+    tables = [_table(one, names) for one, names in zip(diagnoses, named, strict=True)]
     shared = [label for label in tables[0] if all(label in table for table in tables)]
     samples = float(sum(one.samples["used"] for one in diagnoses))
     found = [(label, *_in_common([table[label] for table in tables])) for label in shared]
     seen = [one for one in found if one[2]]
     tried = float(np.log(max(len(seen), 1)))
-    values = [worth(drop, rank, samples, tried) for _, drop, rank in seen]
+    values = []
+    for _, drop, rank, ratio in seen:
+        careful = worth(drop / ratio, rank, samples, tried)
+        values.append(worth(drop, rank, samples, tried) if careful > THRESHOLD else careful)
     best: dict[str, tuple[float, str, int]] = {}
-    for value, (label, _, rank) in sorted(zip(values, seen, strict=True), key=lambda pair: -pair[0]):
+    for value, (label, _, rank, _) in sorted(zip(values, seen, strict=True), key=lambda pair: -pair[0]):
         best.setdefault(tables[0][label].effect.name, (value, label, rank))
-    ranked, common = list(best.items()), None
+    ranked, common, compared = list(best.items()), None, shared
     if ranked and ranked[0][1][0] > THRESHOLD:
         top = ranked[0][1][0]
         group = [name for name, (value, _, _) in ranked if top - value < TWENTY_TO_ONE]
@@ -159,10 +157,19 @@ def fleet(vehicles: Sequence[str], diagnoses: Sequence[Diagnosis]) -> Fleet:
         group += sorted(_of_most(alike) - {*group})
         weights = dict(zip([name for name, _ in ranked], softmax([0.5 * v for _, (v, _, _) in ranked]), strict=True))
         inside = float(sum(weights.get(name, 0.0) for name in group)) * float(expit(0.5 * (top - THRESHOLD)))
-        common = _sizes([table[ranked[0][1][1]] for table in tables], tuple(group), stated(inside))
-    faults = _faults(diagnoses, named, tables, shared, common)
+        # Beside a common effect only its own size is compared: the scores of others hold what it leaves in them.
+        compared = [ranked[0][1][1]]
+        common = _sizes([table[compared[0]] for table in tables], tuple(group), stated(inside))
+    faults = _faults(diagnoses, named, tables, compared, set() if common is None else set(common.group))
     ranking = tuple((name, value, rank) for name, (value, _, rank) in ranked)
     return Fleet(tuple(vehicles), tuple(diagnoses), common, faults, ranking)
+
+
+def _table(one: Diagnosis, named: set[str]) -> dict[str, Score]:
+    """What a vehicle says of each effect by its label: beside what it alone is named to have, unless that may be this
+    effect itself."""
+    alone, beside = ({score.label: score for score in scores} for scores in one.scores)
+    return alone | {label: score for label, score in beside.items() if score.effect.name not in named}
 
 
 def _plain(value: Any) -> Any:
@@ -172,14 +179,22 @@ def _plain(value: Any) -> Any:
     return [_plain(one) if value.ndim > 1 else float(one) if np.isfinite(one) else None for one in value]
 
 
-def _in_common(scores: Sequence[Score]) -> tuple[float, int]:
-    """Drop of chi-square by one size for all vehicles, and its rank; what errors in an image cost is given back."""
+def _in_common(scores: Sequence[Score]) -> tuple[float, int, float]:
+    """Drop of chi-square by one size for all vehicles, what errors in an image cost given back; its rank; and the ratio of
+    Birge (1932, Physical Review 40, 207): by how much more the sizes vary than their noise, as far as that is more."""
     score = np.sum([one.score for one in scores], axis=0)
     whole = np.sum([one.information for one in scores], axis=0)
     errors = 0.0
     if score.size == 1 and whole.any():
         errors = min(sum(one.of_errors for one in scores) / float(whole.max()), 0.5)
-    return explained_in_units(whole * (1.0 - errors), score)
+    drop, rank = explained_in_units(whole * (1.0 - errors), score)
+    alone, ranks = np.sum([explained_in_units(one.information, one.score) for one in scores], axis=0)
+    return drop, rank, _birge(alone - explained_in_units(whole, score)[0], ranks - rank)
+
+
+def _birge(apart: float, free: float) -> float:
+    """Of chi-square by which sizes differ, and its degrees of freedom."""
+    return max(apart / free, 1.0) if free > 0 else 1.0
 
 
 def _imitate(diagnoses: Sequence[Diagnosis], one: str, other: str) -> bool:
@@ -240,29 +255,27 @@ def _faults(
     diagnoses: Sequence[Diagnosis],
     named: Sequence[set[str]],
     tables: Sequence[Mapping[str, Score]],
-    shared: Sequence[str],
-    common: CommonEffect | None,
+    compared: Sequence[str],
+    known: set[str],
 ) -> tuple[Fault, ...]:
-    """What single vehicles are said to have and most others have not; and sizes that differ from those of all others."""
+    """What single vehicles are said to have and most others have not; and sizes that differ from those of all others: half
+    of the false alarms of a fleet each."""
     count = len(diagnoses)
-    known = set() if common is None else set(common.group)
+    level = 0.5 * FALSE_ALARM / count
     named_by = Counter(chain.from_iterable(named))
     faults = []
     for vehicle, one in enumerate(diagnoses):
         for found in one.effects:
             others = named_by[found.name] - (found.name in named[vehicle])
-            if not known & set(found.group) and 2 * others < count - 1:
+            alone = not known & set(found.group) and 2 * others < count - 1
+            if alone and found.significance <= level:
                 faults.append(Fault(vehicle, found.name, found.probability, odd=False))
-    # Beside a common effect only its own size is compared: the scores of others hold what it leaves in them.
-    compared = [label for label in shared if common is None or tables[0][label].effect.name == common.name]
-    limit = FALSE_ALARM / max(count * len(compared), 1)
+    limit = level / max(len(compared), 1)
     odd: dict[int, tuple[float, str]] = {}
     for label in compared:
         scores = [table[label] for table in tables]
         effect: Effect = scores[0].effect
-        whole = [np.sum([getattr(one, of) for one in scores], axis=0) for of in ("score", "information")]
-        for vehicle, one_score in enumerate(scores):
-            apart, rank = _explained_apart(one_score, *whole)
+        for vehicle, (apart, rank) in enumerate(_apart(scores)):
             p = float(chi2.sf(apart, rank)) if rank else 1.0
             if p < limit and p < odd.get(vehicle, (1.0, ""))[0]:
                 odd[vehicle] = (p, effect.name)
@@ -280,11 +293,14 @@ def _of_most(sets: Sequence[set[str]]) -> set[str]:
     return {name for name, count in Counter(chain.from_iterable(sets)).items() if 2 * count >= len(sets)}
 
 
-def _explained_apart(one: Score, score: FloatArray, information: FloatArray) -> tuple[float, int]:
-    """Chi-square by which one vehicle's size differs from that of the others together, and its rank.
-
-    score (p,) and information (p, p): sums over all vehicles."""
-    alone, rank = explained_in_units(one.information, one.score)
-    theirs, _ = explained_in_units(information - one.information, score - one.score)
-    together, _ = explained_in_units(information, score)
-    return max(alone + theirs - together, 0.0), rank
+def _apart(scores: Sequence[Score]) -> Iterator[tuple[float, int]]:
+    """Chi-square by which each vehicle's size differs from that of the others together, over the ratio by which those
+    differ among themselves, and its rank."""
+    score, whole = (np.sum([getattr(one, of) for one in scores], axis=0) for of in ("score", "information"))
+    together, _ = explained_in_units(whole, score)
+    each = [explained_in_units(one.information, one.score) for one in scores]
+    every, ranks = np.sum(each, axis=0)
+    for one, (alone, rank) in zip(scores, each, strict=True):
+        theirs, known = explained_in_units(whole - one.information, score - one.score)
+        ratio = _birge(every - alone - theirs, ranks - rank - known)
+        yield max(alone + theirs - together, 0.0) / ratio, rank

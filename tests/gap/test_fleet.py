@@ -12,7 +12,7 @@ from worlds import TUMBLING, tumbling
 from fluxtwin.gap.diagnose import diagnose
 from fluxtwin.gap.fleet import Fleet, fleet
 from fluxtwin.gap.linear.projection import explained_in_units
-from fluxtwin.gap.records.diagnosis import Diagnosis, Score
+from fluxtwin.gap.records.diagnosis import Diagnosis, FoundEffect, Score
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.earth.field import load_field
 from fluxtwin.sim.effects.catalogue import find_effect
@@ -42,6 +42,12 @@ def vehicle(perfect: Diagnosis, rng: np.random.Generator, late_s: float) -> Diag
     other = Score("along_track_error", AHEAD, rng.normal(size=1), np.array([[1.0]]))
     both = (Score("time_tag_offset", LATE, drawn, information), other)
     return replace(perfect, scores=(both, both))
+
+
+def named_as(*group: str) -> FoundEffect:
+    where = {"stage": "timing", "axis": None, "frame": None, "condition": None}
+    support = {"rivals": (), "probability": 0.97, "significance": 1e-9, "visible_nT": 5.0}
+    return FoundEffect(name=group[0], group=group, parameters={}, settings={}, **where, **support)  # type: ignore[arg-type]
 
 
 def together(perfect: Diagnosis, seed: int, sizes: np.ndarray) -> Fleet:
@@ -80,6 +86,36 @@ def test_the_odd_one_is_found_and_the_spread_measured(perfect: Diagnosis) -> Non
     )  # of 40: 0.11 in the logarithm, and the error's
     shrunk = np.sqrt(np.mean((common.each[:, 0] - spread) ** 2))
     assert shrunk < SIGMA_S * 1.2 and common.each_sigma[:, 0].mean() == pytest.approx(SIGMA_S, rel=0.1)
+
+
+def test_a_name_that_one_vehicle_has_for_it_hides_nothing_of_the_others(perfect: Diagnosis) -> None:
+    """Each diagnosis takes what it names out of its further scores, under whatever name; the sum needs all of it."""
+    rng, fleet_of = np.random.default_rng(6), []
+    for number in range(12):
+        one = vehicle(perfect, rng, 0.3)
+        if number < 4:
+            one = replace(
+                one, scores=(one.scores[0], one.scores[0][1:]), effects=[named_as("time_tag_offset", "sensor_lag")]
+            )
+        elif number == 4:
+            one = replace(
+                one, scores=(one.scores[0], one.scores[0][1:]), effects=[named_as("sensor_lag", "time_tag_offset")]
+            )
+        fleet_of.append(one)
+    found = fleet([f"v{k}" for k in range(12)], fleet_of)
+    assert found.common is not None and found.common.name == "time_tag_offset" and found.faults == ()
+    assert found.common.mean_sigma[0] == pytest.approx(SIGMA_S / np.sqrt(12.0))
+
+
+def test_a_fault_of_one_is_not_the_mean_of_all(perfect: Diagnosis) -> None:
+    """Ninety sigma in one of three: 2,700 of chi-square together, and all of it in one."""
+    rng, fault = np.random.default_rng(7), named_as("time_tag_offset")
+    odd = vehicle(perfect, rng, 9.0)
+    odd = replace(odd, scores=(odd.scores[0], odd.scores[0][1:]), effects=[fault])
+    found = fleet(["a", "b", "c"], [vehicle(perfect, rng, 0.0), odd, vehicle(perfect, rng, 0.0)])
+    assert found.common is None and [(one.vehicle, one.name) for one in found.faults] == [(1, "time_tag_offset")]
+    chance = replace(odd, effects=[replace(fault, significance=0.5 * 0.01 / 3 * 1.01)], scores=perfect.scores)
+    assert fleet(["a", "b", "c"], [perfect, chance, perfect]).faults == ()
 
 
 def test_scores_are_those_of_least_squares(perfect: Diagnosis) -> None:

@@ -27,7 +27,7 @@ from fluxtwin.sim.base.errors import FluxtwinError
 
 OUR_FAULT = 70
 _COMMANDS = (
-    "run simulate ensemble campaign map info convert check calibrate apply export trend yaw attitude diagnose fleet plan "
+    "run simulate ensemble campaign map info convert check calibrate apply export trend yaw attitude diagnose plan "
     "effects passes field"
 )
 """The modules of `fluxtwin.commands`, in the order of the help."""

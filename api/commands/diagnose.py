@@ -24,7 +24,7 @@ def command(
         list[Path],
         typer.Argument(
             metavar="TELEMETRY...",
-            help="A .nc, .csv or .csv.gz file, or a foreign one with --map; several files are diagnosed one by one.",
+            help="A .nc, .csv or .csv.gz file, or a foreign one with --map; several are diagnosed one by one, or --fleet.",
         ),
     ],
     scenario: Annotated[
@@ -37,6 +37,13 @@ def command(
     close: Annotated[
         Path | None, typer.Option(metavar="OUT.toml", help="Write a scenario that contains the named effects.")
     ] = None,
+    fleet: Annotated[
+        bool,
+        typer.Option(
+            "--fleet",
+            help="The files are vehicles of one design, three or more: which effect is common, and which vehicle differs.",
+        ),
+    ] = False,
     follow: Annotated[
         bool,
         typer.Option(
@@ -62,14 +69,15 @@ def command(
     given = [path for path in telemetry if not follow or str(path) != "-"]
     targets = {"--html": (html, outputs.PAGE), "--close": (close, outputs.SCENARIO)}
     output.claim(targets, [*given, scenario, calibration, assumed.field, *reading.files])
-    _require_together(telemetry, follow, scenario, html, close, calibration, workers)
+    _require_together(telemetry, fleet, follow, scenario, html, close, calibration, workers)
     if len(telemetry) == 1 and (workers.jobs or 1) > 1:
         output.note("note: one file is diagnosed by one process; --jobs shares several files")
     if follow:
         _follow(output, telemetry[0], html, {**asked, "calibration": calibration}, reading)
         return
-    if len(telemetry) > 1:
-        _several(output, telemetry, {**asked, "scenario": scenario}, workers, reading)
+    if fleet or len(telemetry) > 1:
+        several = _fleet if fleet else _several
+        several(output, telemetry, {**asked, "scenario": scenario}, workers, reading)
         return
     with output.progress(f"reading {telemetry[0]}") as progress:
         from fluxtwin import diagnosing
@@ -95,6 +103,7 @@ def command(
 
 def _require_together(
     telemetry: list[Path],
+    fleet: bool,
     follow: bool,
     scenario: Path | None,
     html: Path | None,
@@ -111,9 +120,9 @@ def _require_together(
         raise BadInput("knows S and b, and no other effects", where="--follow", wanted=wanted)
     if calibration is not None and not follow:
         raise BadInput("is for --follow", where="--calibration", wanted="fluxtwin apply first, or --follow")
-    if len(telemetry) > 1 and (follow or html is not None or close is not None):
+    if (fleet or len(telemetry) > 1) and (follow or html is not None or close is not None):
         wanted = "one file for --follow, --html and --close"
-        raise BadInput(f"{len(telemetry)} files", where="TELEMETRY", wanted=wanted)
+        raise BadInput("--fleet" if fleet else f"{len(telemetry)} files", where="TELEMETRY", wanted=wanted)
     require_workers(*workers)
     if len(telemetry) == 1 and workers.scheduler is not None:
         raise BadInput("one file is no work to share", where="--scheduler", wanted="several files")
@@ -147,6 +156,22 @@ def _several(
         for line in (*diagnosis_page.where_lines(diagnosis), *diagnosis_page.second_lines(diagnosis)):
             output.prose(f"  {line}", indent="  ")
     output.result({"records": {name: diagnosis.to_dict() for name, diagnosis in found.items()}})
+
+
+def _fleet(
+    output: Output, telemetry: list[Path], asked: dict[str, Any], workers: of.Workers, reading: of.Reading
+) -> None:
+    """All together: an effect that is too small in each may be plain in all."""
+    with output.progress(f"reading {telemetry[0]}") as progress:
+        from fluxtwin import fleets
+
+        records = {str(path): read(path, output, reading, one_of_many=True) for path in telemetry}
+        found = fleets.fleet(records, progress=progress, **asked, **workers._asdict())
+    for line in found.lines:
+        output.prose(line)
+    output.say()
+    output.tables(fleets.tables(found))
+    output.result(found.to_dict())
 
 
 def _page(diagnosis: Diagnosis, telemetry: Path, html: Path | None, record: Telemetry | None = None) -> None:

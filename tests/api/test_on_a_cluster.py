@@ -61,6 +61,7 @@ def test_what_does_not_go_together_is_said(tmp_path: Path, cli: Cli) -> None:
         (["a.nc", "--jobs", "0"], "0 processes"),
         (["a.nc", "--scheduler", "tcp://127.0.0.1:1"], "one file is no work to share"),
         (["a.nc", "b.nc", "--html", "p.html"], "one file for --follow, --html and --close"),
+        (["a.nc", "--fleet", "--follow"], "one file for --follow, --html and --close"),
     ):
         done = cli("diagnose", *words)
         assert done.status == 2 and why in done.err

@@ -33,6 +33,7 @@ from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.earth.field_models import load_field
 from fluxtwin.sim.telemetry.csv_files import without_comments
 from fluxtwin.sim.telemetry.record import Telemetry, concatenate
+from fluxtwin.sim.telemetry.selection import NoneTaken, selected, selection
 from fluxtwin.sim.telemetry.telemetry_files import Reading, is_path, read_telemetry
 from fluxtwin.verbs import as_calibration, reading_of, with_reading
 
@@ -90,7 +91,8 @@ def follow(
 ) -> Followed:
     """Watch rows as they come until something changes or the stream ends, and diagnose what was seen.
 
-    telemetry: a CSV that grows (followed until the alarm), "-" for standard input, or records one after the other.
+    telemetry: a CSV that grows (followed until the alarm, or the first row at `end`), "-" for standard input, or records one
+    after the other.
     calibration: one to be held against the readings from the first row on; without it the first orbit gives S and b.
     modelled: as for `diagnose`. said: takes a line for each hour of telemetry.
 
@@ -98,8 +100,7 @@ def follow(
     """
     assumed = dict(options)
     reading, declared = reading_of(assumed), declared_in(assumed)
-    if reading.get("start") or reading.get("end") or reading.get("where"):
-        raise BadInput("takes all rows as they come", where="--follow", wanted="no --from, --to or --where beside it")
+    end = selection(reading.get("start"), reading.pop("end", None), reading.get("where")).end
     known = None if calibration is None else as_calibration(calibration)
     name = "" if known is None else str(calibration) if is_path(calibration) else known.digest[:12]
     with contextlib.ExitStack() as opened:
@@ -107,8 +108,8 @@ def follow(
         if isinstance(telemetry, str | Path):
             blocks = opened.enter_context(contextlib.closing(_records(str(telemetry), reading)))
         else:
-            blocks = iter(telemetry)
-        rows = _Rows(_later(blocks))
+            blocks = _taken(telemetry, reading.get("start"), reading.get("where"))
+        rows = _Rows(_later(_until(blocks, end)))
         first, every = rows.to_begin_with()
         watch = begin(
             first, load_field(declared.field or "igrf14", declared.degree), budget_of(None, (), declared), known
@@ -187,6 +188,22 @@ class _Rows:
         return block
 
 
+def _taken(records: Iterable[Telemetry], start: np.datetime64 | str | None, where: str | None) -> Iterator[Telemetry]:
+    for record in records:
+        with contextlib.suppress(NoneTaken):
+            yield selected(record, start, None, where)
+
+
+def _until(blocks: Iterator[Telemetry], end: np.datetime64 | None) -> Iterator[Telemetry]:
+    """The rows before `end`; the first at it ends the stream."""
+    for block in blocks:
+        before = np.ones(len(block), dtype=np.bool_) if end is None else block.time < end
+        if before.any():
+            yield block if before.all() else block.select(before)
+        if not before.all():
+            return
+
+
 def _later(blocks: Iterator[Telemetry]) -> Iterator[Telemetry]:
     """Only rows that are later than all before, few at a time, so that no more are taken to begin with than it needs."""
     last = None
@@ -256,6 +273,8 @@ def _records(path: str, reading: Reading) -> Generator[Telemetry, None, None]:
             part.write_bytes(head + b"\n" + lines)
             try:
                 yield read_telemetry(part, **reading)
+            except NoneTaken:
+                pass
             except BadInput as error:
                 words = str(error).replace(str(part), path)
                 raise BadInput(f"{words} (row 1 of this part is row {rows + 1} of all)") from None

@@ -35,6 +35,11 @@ _MIRRORED: dict[type[ast.cmpop], type[ast.cmpop]] = {ast.Lt: ast.Gt, ast.Gt: ast
 _NUMBER = re.compile(r"[+-]?\s*(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 _EXAMPLE = "comparisons of a column with a number, joined by `and` or `or`, as 'sunlit == 1 and temperature_degC < 10'"
 
+
+class NoneTaken(BadInput):
+    """No row is taken."""
+
+
 STAMPS = "\0time"
 """Key of the rows' stamps among the values of a condition; no column is called so."""
 Rows = Callable[[Mapping[str, np.ndarray]], BoolArray]
@@ -87,7 +92,7 @@ class Selection:
             taken &= self.condition.rows({**columns, STAMPS: time})
         if not taken.any():
             span = f"; the file reaches from {epoch.iso(time.min())} to {epoch.iso(time.max())}" if time.size else ""
-            raise BadInput(f"no row is left {self.words}{span}", where=where, wanted="a wider selection")
+            raise NoneTaken(f"no row is left {self.words}{span}", where=where, wanted="a wider selection")
         return taken
 
     def cut(self, table: FileTable) -> FileTable:

@@ -98,6 +98,23 @@ def test_records_from_python_are_the_same_to_the_bit_in_any_pieces(record: Telem
     assert one.rows in range(other.rows - 250, other.rows + 250)  # begun where the first piece was long enough
 
 
+def test_a_selection_is_followed_and_ends_the_stream(record: Telemetry, tmp_path: Path, cli: Cli) -> None:
+    """From Python in pieces, and from a file that would be followed for ever: the rows that `diagnose` takes."""
+    begin, end = (str(record.time[row]) for row in (30, 1000))
+    chosen = {"start": begin, "end": end, "where": "mag_x_nT > -15000"}
+    whole = fluxtwin.diagnose(record, **chosen, attitude_sigma_deg=0.05).to_dict()
+    pieces = [record.select(slice(i, i + 97)) for i in range(0, len(record), 97)]
+    assert fluxtwin.follow(iter(pieces), **chosen, attitude_sigma_deg=0.05).diagnosis.to_dict() == whole
+    path, options = (
+        fluxtwin.write(record, tmp_path / "t.csv"),
+        ("--from", begin, "--to", end, "--where", chosen["where"]),
+    )
+    done = cli("diagnose", "--follow", path, *options, "--attitude-sigma-deg", "0.05", "--json", tmp_path / "a.json")
+    assert done.status == 0, done.err
+    answer = json.loads((tmp_path / "a.json").read_text(encoding="utf-8"))
+    assert answer["diagnosis"]["samples"] == whole["samples"] and answer["last"] < f"{end}Z"
+
+
 def test_what_cannot_be_followed_is_said(record: Telemetry, tmp_path: Path, cli: Cli) -> None:
     whole = fluxtwin.write(record, tmp_path / "t.nc")
     (tmp_path / "c.toml").write_text("", encoding="utf-8")
@@ -105,7 +122,7 @@ def test_what_cannot_be_followed_is_said(record: Telemetry, tmp_path: Path, cli:
         (("--follow", whole), "while it is still being written"),
         (("--follow", tmp_path / "none.csv"), "No such file"),
         (("--follow", whole, "--close", tmp_path / "x.toml"), "no other effects"),
-        (("--follow", whole, "--where", "sunlit == 1"), "all rows as they come"),
+        (("--follow", whole, "--where", "sunlit ="), "cannot be read"),
         ((whole, "--calibration", tmp_path / "c.toml"), "is for --follow"),
     ):
         done = cli("diagnose", *words)

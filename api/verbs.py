@@ -162,8 +162,8 @@ def apply(
     scenario: in place of a calibration, a scenario that a diagnosis has closed. Its effects are taken out of readings and
     positions first (those of spacecraft and sensor, and the error along the track), then its own S, b and T act.
 
-    Raises BadInput for a record that is corrected already, and for a calibration of another spacecraft or another time;
-    force corrects it all the same.
+    Raises BadInput for a record that is corrected already, and for a calibration of another spacecraft; force corrects it
+    all the same. Warns of rows outside the time and the temperatures of the calibration, and after its expiry.
     """
     record = as_record(telemetry, **reading)
     if (calibration is None) == (scenario is None):

@@ -39,11 +39,7 @@ def apply_calibration(telemetry: Telemetry, calibration: Calibration, *, force: 
 
 
 def require_applicable(telemetry: Telemetry, calibration: Calibration) -> None:
-    """Raises BadInput for readings that are corrected already, another spacecraft, and a time that it does not cover.
-
-    A calibration speaks of the time in which it was made. The record must share some of it, and may reach beyond either
-    end by no more than its length: further than it was observed, nobody has seen it hold.
-    """
+    """Raises BadInput for readings that are corrected already, another spacecraft and another magnetometer."""
     before, of_before = telemetry.corrected_by, calibration.residual_to
     ours, theirs = plain_text(telemetry.spacecraft), plain_text(calibration.spacecraft)
     found, wanted = "", ""
@@ -59,16 +55,6 @@ def require_applicable(telemetry: Telemetry, calibration: Calibration) -> None:
     elif (one := calibration.magnetometer) != telemetry.magnetometer:
         found = f"the readings are of magnetometer {telemetry.magnetometer}, the calibration is of {one}"
         wanted = f"--magnetometer {one}, or the other calibration; --force applies it anyway"
-    elif calibration.span is not None and _too_far(telemetry, calibration.span):
-        begins, ends = telemetry.time[[0, -1]]
-        found = (
-            f"the record runs from {epoch.iso(begins)} to {epoch.iso(ends)}, the calibration was made from data of "
-            f"{_span_words(calibration)}"
-        )
-        wanted = (
-            "a calibration whose time overlaps that of the record, which may extend beyond it by no more than the "
-            "calibration's own length; --force applies it anyway"
-        )
     if found:
         raise BadInput(found, where=telemetry.provenance.get("source", "telemetry"), wanted=wanted)
 
@@ -84,7 +70,10 @@ def waived(telemetry: Telemetry, calibration: Calibration) -> str | None:
 
 def outside_span(telemetry: Telemetry, calibration: Calibration) -> int:
     """Rows before or after the data from which the calibration was made."""
-    return 0 if calibration.span is None else _rows_outside(telemetry, calibration.span)
+    if calibration.span is None:
+        return 0
+    first, last = calibration.span
+    return int(((telemetry.time < first) | (telemetry.time > last)).sum())
 
 
 def _warn_outside(telemetry: Telemetry, calibration: Calibration) -> None:
@@ -141,16 +130,6 @@ def known_sigma_nT(telemetry: Telemetry) -> float | None:
     """Residual of a component [nT] that the calibration of corrected readings had stated; None where unknown."""
     match = _STAMP.match(telemetry.corrected_by)
     return None if match is None else float(match[2])
-
-
-def _too_far(telemetry: Telemetry, span: tuple[np.datetime64, np.datetime64]) -> bool:
-    first, last = span
-    beyond = max(first - telemetry.time[0], telemetry.time[-1] - last)
-    return bool(_rows_outside(telemetry, span) == len(telemetry) or beyond > last - first)
-
-
-def _rows_outside(telemetry: Telemetry, span: tuple[np.datetime64, np.datetime64]) -> int:
-    return int(((telemetry.time < span[0]) | (telemetry.time > span[1])).sum())
 
 
 def _stamp(telemetry: Telemetry, calibration: Calibration) -> str:

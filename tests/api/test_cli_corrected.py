@@ -105,28 +105,27 @@ def test_a_second_correction_is_refused(cli: Cli, flight: Path, tmp_path: Path, 
     assert fluxtwin.read(tmp_path / "2.csv").corrected_by.count(" then ") == 1
 
 
-@pytest.mark.parametrize(
-    ("name", "words"),
-    [("other", ("'Second'", "'First; one'")), ("late", ("2012-03-09", "2012-03-01T03:19:00Z"))],
-)
-@pytest.mark.filterwarnings("ignore:.* rows here are of another time")  # by --force
 @pytest.mark.parametrize("suffix", ["nc", "csv"])
-def test_another_spacecraft_or_another_week_is_refused(
-    cli: Cli, flight: Path, tmp_path: Path, name: str, words: tuple[str, ...], suffix: str
-) -> None:
-    call = ("apply", flight / f"{name}.{suffix}", "--calibration", flight / "known.toml", "--out", tmp_path / "out.nc")
-    refused(cli(*call), *words, "--force")
+def test_another_spacecraft_is_refused(cli: Cli, flight: Path, tmp_path: Path, suffix: str) -> None:
+    words = ("'Second'", "'First; one'", "--force")
+    call = ("apply", flight / f"other.{suffix}", "--calibration", flight / "known.toml", "--out", tmp_path / "out.nc")
+    refused(cli(*call), *words)
     assert not (tmp_path / "out.nc").exists()
     assert cli(*call, FORCED).status == 0  # type: ignore[attr-defined]
-    yaw = ("yaw", flight / f"{name}.{suffix}", "--calibration", flight / "known.toml")
-    refused(cli(*yaw), *words, "--force")
+    yaw = ("yaw", flight / f"other.{suffix}", "--calibration", flight / "known.toml")
+    refused(cli(*yaw), *words)
     assert cli(*yaw, FORCED).status == 0  # type: ignore[attr-defined]
 
 
-def test_a_little_beyond_the_calibration_is_said(process: Cli, flight: Path, tmp_path: Path) -> None:
-    outcome = process("apply", flight / "near.nc", "--calibration", flight / "known.toml", "--out", tmp_path / "o.nc")
+@pytest.mark.parametrize(("name", "rows"), [("near", 60), ("late", 200)])
+@pytest.mark.parametrize("verb", ["apply", "yaw"])
+def test_another_time_is_said(process: Cli, flight: Path, tmp_path: Path, verb: str, name: str, rows: int) -> None:
+    """An hour beyond the end of the calibration's data, and a week after it."""
+    more = ("--out", tmp_path / "o.nc") if verb == "apply" else ()
+    outcome = process(verb, flight / f"{name}.nc", "--calibration", flight / "known.toml", *more)
     assert outcome.status == 0  # type: ignore[attr-defined]
-    assert "60 of the 200 rows here are of another time" in outcome.err  # type: ignore[attr-defined]
+    said = f"{rows} of the 200 rows here are of another time"
+    assert said in outcome.err and "2012-03-01T03:19:00Z" in outcome.err  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize("suffix", ["nc", "csv"])

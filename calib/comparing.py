@@ -9,7 +9,6 @@ difference; among those that are not, the first of `_PREFERRED` is taken.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -65,8 +64,7 @@ def compare(
         raise NoAnswer(f"no method gives an answer. {reasons}", evidence={})
     kept = _kept(errors)
     for name, error_nT in errors.items():
-        lacks = tuple(key.replace("_", "-") for key in given if key in estimators[name].without)
-        found[name] = replace(_result(name, telemetry, model, error_nT, kept), without=lacks)
+        found[name] = _result(name, telemetry, model, error_nT, kept)
     order = sorted(errors, key=lambda name: _mean_square(errors[name][kept]))
     alike = _alike(order, errors, stretch, kept)
     if errors[order[0]].shape[1] == 3:  # an error of the attitude hides much, but not in |B|

@@ -153,9 +153,8 @@ def _taken(estimator: Estimator, given: Mapping[str, Any]) -> dict[str, Any]:
             continue
         if name not in estimator.takes:
             others = [other.name for other in ESTIMATORS.values() if name in other.takes]
-            why = estimator.without.get(name)
             raise BadInput(
-                f"the method {estimator.name} {f'cannot have it: {why}' if why else 'has no use for it'}",
+                f"the method {estimator.name} has no use for it",
                 where=f"--{name.replace('_', '-')}",
                 wanted=f"--method {' or '.join(others)}, or leave it out" if others else "nothing of that name",
             )

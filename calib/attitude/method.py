@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from fluxtwin.calib.common import options as of
@@ -14,6 +15,7 @@ class RecursiveOptions(of.Options):
 
     method: str = field(default="recursive", metadata=of.METHOD("recursive"))
     parameters: str = field(default="b,S", metadata=of.PARAMETERS("b,S", "b"))
+    driver: Sequence[str] = field(default=(), metadata=of.DRIVER())
     noise_nT: float | None = field(default=None, metadata=of.NOISE_NT())
     lsb_nT: float | None = field(default=None, metadata=of.LSB_NT())
     attitude_sigma_deg: float | None = field(default=None, metadata=of.ATTITUDE_SIGMA_DEG())
@@ -34,4 +36,4 @@ class RecursiveOptions(of.Options):
 
 _HOME = "fluxtwin.calib.attitude.recursive:calibrate_recursive"
 _NEEDS = ("positions", "attitude, or nadir and sun")
-ESTIMATORS = (of.Estimator("recursive", _NEEDS, RecursiveOptions, _HOME, without={"driver": of.NO_DRIVER_WITH_MOTION}),)
+ESTIMATORS = (of.Estimator("recursive", _NEEDS, RecursiveOptions, _HOME, drivers_by=of.SCALAR),)

@@ -19,8 +19,6 @@ class MethodResult:
     """95 % of the angles between calibrated reading and field there; None without attitude."""
     why_not: str = ""
     """Why there is no answer."""
-    without: tuple[str, ...] = ()
-    """Options that change what is fitted and that it cannot have."""
 
 
 @dataclass(frozen=True)
@@ -51,8 +49,7 @@ class Comparison:
 
         rows = []
         for one in self.results:
-            lacks = f"without --{' and --'.join(one.without)}" if one.without else ""
-            remark = one.why_not or ("take this one" if one.method == self.chosen else lacks)
+            remark = one.why_not or ("take this one" if one.method == self.chosen else "")
             numbers: list[float | None] = [None] * (len(self.columns) - 2)
             if one.held_out_nT is not None:
                 three = [*one.held_out_nT] if len(one.held_out_nT) == 3 else []

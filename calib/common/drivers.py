@@ -147,6 +147,33 @@ def fitted(asked: Asked, rows: np.ndarray, others: FloatArray, fit: Callable[[Co
     return replace(final, messages=(*final.messages, said, *more))
 
 
+def taken_out_first(telemetry: Telemetry, found: Fit, fit: Callable[[Telemetry], F]) -> F:
+    """A fit by a method that takes the spacecraft's own field for constant, to readings less the fields of `found`.
+
+    Their covariance is in its own: a refit for each of its principal parts, as in a joint fit by least squares, where what
+    is left of the rows once the fields are known is independent of the fields' errors.
+    """
+    biases = found.calibration.telemetry_bias
+    columns = found.calibration.columns_of(telemetry)
+
+    def freed(moved_nT: FloatArray) -> F:
+        B = np.array(telemetry.mag_B_nT)
+        for (name, bias), more in zip(biases.items(), moved_nT.reshape(-1, 3), strict=True):
+            B -= np.outer(columns[name], bias.value_nT + more)
+        return fit(telemetry.replace(mag_B_nT=B))
+
+    own = freed(np.zeros(3 * len(biases)))
+    covariance = own.calibration.covariance
+    for part in np.linalg.cholesky(found.driver_covariance).T if biases else ():
+        step = freed(part).calibration.values - own.calibration.values
+        covariance = covariance + np.outer(step, step)
+    said = f"the fields of the columns are those of {found.method}, which works with |B|; they are taken out first"
+    of_columns = [text for text in found.messages if any(name in text for name in recorded_columns(telemetry))]
+    calibration = replace(own.calibration, telemetry_bias=biases, covariance=covariance)
+    messages = (*own.messages, said, *of_columns)
+    return replace(own, calibration=calibration, driver_covariance=found.driver_covariance, messages=messages)
+
+
 def _lateness(asked: Asked, rows: np.ndarray, whole: F, columns: Columns, drops: Drops[F]) -> dict[str, _Late]:
     """Of the columns whose field comes late, how late: the likeliest of what is tried, where it beats none."""
     found: dict[str, _Late] = {}

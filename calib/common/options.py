@@ -8,9 +8,9 @@ so it imports nothing heavy.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 from fluxtwin.sim.base.errors import BadInput
 
@@ -55,11 +55,10 @@ DRIVER = Option(
     list[str],
     "NAME",
 )
-NO_DRIVER_WITH_MOTION = (
-    "it also estimates the motion, with a field of the spacecraft that is constant. Calibrate with another method and "
-    "`fluxtwin apply` first, then use this one on the corrected readings"
-)
-"""Why a method that estimates the attitude too takes no driver."""
+_OF_READINGS = ("driver", "robust", "covariance", "block_s", "field_error_nT", "noise_nT", "lsb_nT", "passes")
+"""Options that mean the same to a method and to the one that finds the fields for it."""
+SCALAR = "fluxtwin.calib.scalar.calibrate:calibrate_scalar"
+"""|B| knows nothing of the attitude, so no error of an attitude is in what it says of a column."""
 ROBUST = Option("Weights against outliers: tukey, huber or none.", str, "WEIGHTS", "kind of weights")
 COVARIANCE = Option(
     "blocks (allows for errors that are correlated in time) or white.", str, "KIND", "kind of covariance"
@@ -134,16 +133,29 @@ class Estimator:
     options: type[Options]
     home: str
     """`module:function`, imported when it is used: `function(telemetry, model, options)` gives the `Fit`."""
-    without: Mapping[str, str] = field(default_factory=dict)
-    """Options that change what is fitted and that this method cannot have, and why."""
+    drivers_by: str = ""
+    """`module:function` of the method that finds the fields of `--driver` where this one takes the spacecraft's own field
+    for constant; empty where it fits them itself."""
 
     @property
     def takes(self) -> dict[str, Any]:
         """Its options: fields of the dataclass by name."""
-        return {item.name: item for item in fields(self.options) if item.name not in ("method", *self.without)}
+        other = ("method", "telemetry_bias") if self.drivers_by else ("method",)
+        return {item.name: item for item in fields(self.options) if item.name not in other}
 
     def fit(self, telemetry: Telemetry, model: FieldModel, given: Mapping[str, Any]) -> Fit:
         """Calibrate a record by the options that are given. Errors as the method's own."""
-        module, _, function = self.home.partition(":")
-        found: Fit = getattr(import_module(module), function)(telemetry, model, self.options(method=self.name, **given))
-        return found
+        fit, options = _imported(self.home), self.options(method=self.name, **given)
+        if not self.drivers_by or not given.get("driver"):
+            return cast("Fit", fit(telemetry, model, options))
+        from fluxtwin.calib.common.drivers import taken_out_first
+
+        own = self.options(method=self.name, **{**given, "driver": ()})
+        shared = {name: value for name, value in given.items() if name in _OF_READINGS}
+        found = _imported(self.drivers_by)(telemetry, model, **shared)
+        return taken_out_first(telemetry, found, lambda freed: cast("Fit", fit(freed, model, own)))
+
+
+def _imported(home: str) -> Callable[..., Any]:
+    module, _, function = home.partition(":")
+    return cast(Callable[..., Any], getattr(import_module(module), function))

@@ -43,13 +43,8 @@ class ScalarOptions(of.Options):
             raise BadInput("T", where="parameters", wanted="method scalar, which alone takes the torquers")
 
 
-_HOME = "fluxtwin.calib.scalar.calibrate:calibrate_scalar"
-_ONLY_CONSTANT = dict.fromkeys(
-    ("driver", "telemetry_bias"),
-    "differences of |B|^2 are linear in b only while the spacecraft's own field is constant; scalar fits the same rows",
-)
 ESTIMATORS = (
-    of.Estimator("center", ("positions",), ScalarOptions, _HOME, without=_ONLY_CONSTANT),
-    of.Estimator("twostep", ("positions",), ScalarOptions, _HOME, without=_ONLY_CONSTANT),
-    of.Estimator("scalar", ("positions",), ScalarOptions, _HOME),
+    of.Estimator("center", ("positions",), ScalarOptions, of.SCALAR, drivers_by=of.SCALAR),
+    of.Estimator("twostep", ("positions",), ScalarOptions, of.SCALAR, drivers_by=of.SCALAR),
+    of.Estimator("scalar", ("positions",), ScalarOptions, of.SCALAR),
 )

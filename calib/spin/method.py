@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -35,6 +36,7 @@ class SpinOptions(of.Options):
 
     method: str = field(default="batch", metadata=of.METHOD("batch", "iterative"))
     parameters: str = field(default="b,S", metadata=of.PARAMETERS("b,S"))
+    driver: Sequence[str] = field(default=(), metadata=of.DRIVER())
     noise_nT: float | FloatArray | None = field(default=None, metadata=of.NOISE_NT())
     lsb_nT: float | FloatArray | None = field(default=None, metadata=of.LSB_NT())
     sun_sigma_deg: float | None = field(default=None, metadata=of.SUN_SIGMA_DEG())
@@ -50,6 +52,6 @@ class SpinOptions(of.Options):
 
 _HOME = "fluxtwin.calib.spin.calibrate:calibrate_spin"
 ESTIMATORS = tuple(
-    of.Estimator(name, ("positions", "sun pulses"), SpinOptions, _HOME, without={"driver": of.NO_DRIVER_WITH_MOTION})
+    of.Estimator(name, ("positions", "sun pulses"), SpinOptions, _HOME, drivers_by=of.SCALAR)
     for name in ("batch", "iterative")
 )

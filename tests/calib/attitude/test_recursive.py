@@ -154,3 +154,14 @@ def test_a_tumbling_body_is_followed() -> None:
 def test_a_step_without_a_noise_is_refused(flown: tuple[Any, Any]) -> None:
     with pytest.raises(BadInput, match="noise-nT"):
         fluxtwin.calibrate(flown[0], method="recursive", lsb_nT=10.0)
+
+
+def test_the_field_of_a_column_is_taken_out_first(flown: tuple[Any, Any]) -> None:
+    """Fifteen pulls of one seed: one beyond 4.5 in 10,000 runs."""
+    telemetry, truth = flown
+    on, k_nT = (np.arange(len(telemetry)) // 37 % 2).astype(float), np.array([120.0, -80.0, 60.0])
+    driven = telemetry.replace(mag_B_nT=telemetry.mag_B_nT + np.outer(on, k_nT), drivers={"tx": on})
+    fit = fluxtwin.calibrate(driven, method="recursive", driver=["tx"])
+    found = fit.calibration.telemetry_bias["driver_tx"]
+    assert np.abs((found.value_nT - k_nT) / found.sigma_nT).max() < 4.5 and found.sigma_nT.max() < 15.0
+    assert np.abs(pulls(fit, truth)).max() < 4.5

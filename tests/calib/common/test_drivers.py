@@ -132,6 +132,26 @@ def test_every_coefficient_is_within_its_sigma() -> None:
         assert np.abs(pulls.mean(axis=0)).max() * np.sqrt(RUNS) < farthest, "nor is the mean off"
 
 
+def test_methods_with_a_constant_field_have_what_the_column_leaves_open_in_their_sigmas() -> None:
+    """TWOSTEP and |B| by maximum likelihood are one estimate of the same rows: sigmas agree to 5 %; those of readings
+    that the true fields have left are smaller. CENTER comes back over the runs within the quantiles, with 1 - 1e-4."""
+    record = flown(0)
+    white: Any = {"driver": ["array", "payload"], "covariance": "white"}
+    joint, found = (fit_of(record, method=name, **white) for name in ("scalar", "twostep"))
+    assert np.array_equal(error_of_drivers(found), error_of_drivers(joint))
+    assert found.calibration.sigmas == pytest.approx(joint.calibration.sigmas, rel=0.05)
+    field = sum(np.outer(record.drivers[name.removeprefix("driver_")], k) for name, k in K.items())
+    known = fit_of(record.replace(mag_B_nT=record.mag_B_nT - field), method="twostep", covariance="white").calibration
+    assert (joint.calibration.sigmas / known.sigmas)[9:].max() > 1.2
+    total = 0.0
+    for seed in range(RUNS):
+        fit = fit_of(flown(seed, wrong_S=False), method="center", driver=["array", "payload"])
+        error = fit.calibration.b_nT - B_NT
+        total += float(error @ np.linalg.solve(fit.calibration.covariance[9:, 9:], error))
+    low, high = chi2.ppf([ALARM / 2.0, 1.0 - ALARM / 2.0], 3 * RUNS)
+    assert low < total < high
+
+
 @cache
 def late_runs() -> tuple[Fit, ...]:
     methods = ("linear", "forward", "scalar")

@@ -209,9 +209,9 @@ def _later(blocks: Iterator[Telemetry]) -> Iterator[Telemetry]:
     last = None
     for block in blocks:
         for start in range(0, len(block), _AT_ONCE):
-            part = block.select(slice(start, start + _AT_ONCE))
+            part = block if len(block) <= _AT_ONCE else block.select(slice(start, start + _AT_ONCE))
             if last is None or part.time[-1] > last:
-                yield part if last is None else part.select(part.time > last)
+                yield part if last is None or part.time[0] > last else part.select(part.time > last)
                 last = part.time[-1]
 
 

@@ -79,12 +79,19 @@ def _gradient(c: FloatArray, d: FloatArray) -> FloatArray:
 
 
 def _table(terms: FloatArray) -> FloatArray:
-    order, degree = np.triu_indices(terms.shape[1])
-    k, m = degree.astype(np.float64), order.astype(np.float64)
+    degree, order, beta = _rows(terms.shape[1])
     table = np.empty((order.size, 7))
-    table[:, 0] = (k**2 - m**2) / (4.0 * k**2 - 1.0)
+    table[:, 0] = beta
     table[:, 1:] = terms[:, degree, order].T
     return table
+
+
+@lru_cache(maxsize=64)
+def _rows(size: int) -> tuple[np.ndarray, np.ndarray, FloatArray]:
+    """Degree, order and beta of the rows of a table of so many degrees."""
+    order, degree = np.triu_indices(size)
+    k, m = degree.astype(np.float64), order.astype(np.float64)
+    return degree, order, (k**2 - m**2) / (4.0 * k**2 - 1.0)
 
 
 def _gauss_normalised(coefficients_nT: FloatArray) -> tuple[FloatArray, FloatArray]:

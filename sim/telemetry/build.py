@@ -145,7 +145,7 @@ def _check_positions(fields: dict[str, FloatArray], where: str) -> None:
     ):
         size = np.linalg.norm(fields[name], axis=1) if name in fields else np.empty(0)
         size = size[np.isfinite(size)]
-        typical = float(np.median(size)) if size.size else 0.0
+        typical = float(np.median(size)) if size.size and size.max() > limit else 0.0
         if typical > limit:
             what = "positions look like metres" if unit == "km" else "velocities look like metres per second"
             stem = BY_NAME[name].written[0]

@@ -11,6 +11,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping, MutableMapping
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -102,7 +103,12 @@ def resolve(names: Iterable[str], where: str, described: Mapping[str, str] | Non
     Raises BadInput for a quantity with a component missing, given in two units, or named without a unit; and when
     the magnetometer is absent.
     """
-    present = [name for name in names if name != "time"]
+    return _resolved(tuple(name for name in names if name != "time"), where, tuple((described or {}).items()))
+
+
+@lru_cache(maxsize=16)
+def _resolved(present: tuple[str, ...], where: str, described: tuple[tuple[str, str], ...]) -> Resolution:
+    """A stream has the same columns again and again; nobody changes what was found."""
     known = set(present)
     found: dict[str, tuple[tuple[str, ...], str]] = {}
     for quantity in QUANTITIES:
@@ -114,7 +120,7 @@ def resolve(names: Iterable[str], where: str, described: Mapping[str, str] | Non
     wheels = tuple(sorted((n for n in present if WHEEL.fullmatch(n)), key=_wheel_number))
     _wheels_without_unit(known, where)
     if MAG.name not in found:
-        raise _missing_magnetometer(present, where, described or {})
+        raise _missing_magnetometer(list(present), where, dict(described))
     taken = Resolution(found, named, wheels, ())
     return replace(taken, unknown=tuple(name for name in present if name not in set(taken.used)))
 

@@ -70,7 +70,9 @@ def campaign(
     """
     require_workers(jobs, scheduler)
     folder = Path(out)
-    plan = make_plan(as_scenario(scenario), runs, seed, min(_IN_PART, max(runs, 1)), progress)
+    plan = make_plan(as_scenario(scenario), runs, seed, min(_IN_PART, max(runs, 1)))
+    for number in range(plan.chunks):
+        plan.checked(number)
     files.writable_folder(folder)
     if (folder / RECORD).exists():
         if not resume:

@@ -12,12 +12,14 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
+from functools import partial
 from multiprocessing import active_children, get_context
-from typing import Any
+from typing import Any, TypeAlias
 
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.processes import starting_others, stop_if_asked, work_for_another
 
+Ask: TypeAlias = Callable[[Callable[..., Any], Sequence[tuple[Any, ...]]], Iterator[Any]]
 _LOOK_S = 0.2
 """Between two looks whether the user asked for an end."""
 _CONNECT_S = 5
@@ -40,28 +42,42 @@ def answers(
     scheduler: str | None = None,
     executor: Executor | None = None,
 ) -> Iterator[Any]:
-    """The answers of `function(*call)`, as they come.
+    """The answers of `function(*call)`, as they come, of a team that is there for these calls alone."""
+    with team(len(calls), jobs=jobs, scheduler=scheduler, executor=executor) as ask:
+        yield from ask(function, calls)
+
+
+@contextmanager
+def team(
+    most: int, *, jobs: int | None = None, scheduler: str | None = None, executor: Executor | None = None
+) -> Iterator[Ask]:
+    """Who gives the answers of `function(*call)` for some calls, as they come. most: calls at a time.
 
     jobs: processes here, all cores where not given. scheduler: the address of a Dask scheduler, whose workers do it.
     executor: any of `concurrent.futures`' kind instead. Raises BadInput where workers are lost or cannot be reached.
     """
-    count = min(jobs or os.cpu_count() or 1, len(calls))
+    count = min(jobs or os.cpu_count() or 1, most)
     if executor is not None:
-        yield from by_executor(executor, function, calls)
+        yield partial(by_executor, executor)
     elif scheduler is not None:
         with cluster(scheduler) as far:
-            yield from by_executor(far, function, calls)
+            yield partial(by_executor, far)
     elif count > 1:
         with processes(count) as own:
-            yield from by_executor(own, function, calls)
+            yield partial(by_executor, own)
     else:
-        for call in calls:
-            stop_if_asked()
-            yield function(*call)
+        yield here
+
+
+def here(function: Callable[..., Any], calls: Sequence[tuple[Any, ...]]) -> Iterator[Any]:
+    """The answers, one after the other in this process."""
+    for call in calls:
+        stop_if_asked()
+        yield function(*call)
 
 
 def by_executor(executor: Executor, function: Callable[..., Any], calls: Sequence[tuple[Any, ...]]) -> Iterator[Any]:
-    """As `answers`; what has not begun when the work here ends early is called off."""
+    """The answers of an executor; what has not begun when the work here ends early is called off."""
     waiting = {executor.submit(function, *call) for call in calls}
     try:
         while waiting:

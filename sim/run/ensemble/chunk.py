@@ -96,6 +96,11 @@ def chunk_path(folder: Path, number: int) -> Path:
     return folder / f"chunk-{number:05d}.nc"
 
 
+def check_chunk(record: Mapping[str, Any], number: int) -> list[dict[str, Any]]:
+    """The rows of a chunk of a recorded plan, every vehicle checked, for a process anywhere."""
+    return _flyer(json.dumps(record)).plan.checked(number)
+
+
 def fly_chunk(record: Mapping[str, Any], folder: str | None, number: int) -> dict[str, Any]:
     """Fly one chunk of a recorded plan, for a process anywhere; it is written where that process sees the folder.
 

@@ -14,7 +14,6 @@ from typing import Any
 
 from fluxtwin.sim.base import files
 from fluxtwin.sim.base.errors import BadInput
-from fluxtwin.sim.base.progress import Progress, silent
 from fluxtwin.sim.base.seals import sealed_json, unsealed_json
 from fluxtwin.sim.run.ensemble.draws import (
     drawn_values,
@@ -65,16 +64,24 @@ class Plan:
 
     def row(self, number: int) -> dict[str, Any]:
         """Number, seed and what was drawn, as the table of vehicles has it."""
-        return self._row(number)
+        found = self._rows.get(number)
+        return found or {"vehicle": number, "seed": vehicle_seed(self.seed, number), **flattened(self.drawn(number))}
+
+    def checked(self, number: int) -> list[dict[str, Any]]:
+        """The rows of a chunk's vehicles. Raises BadInput for one that cannot be."""
+        for vehicle in self.members(number):
+            self.vehicle(vehicle)
+        return [self.row(vehicle) for vehicle in self.members(number)]
+
+    def remember(self, rows: list[dict[str, Any]]) -> None:
+        """Rows that are at hand, as long as there is room for them."""
+        if len(self._rows) < _REMEMBERED:
+            self._rows.update((row["vehicle"], row) for row in rows)
 
     @cached_property
-    def _row(self) -> Callable[[int], dict[str, Any]]:
-        """Remembers: the table is written before the flights and after them."""
-
-        def row(number: int) -> dict[str, Any]:
-            return {"vehicle": number, "seed": vehicle_seed(self.seed, number), **flattened(self.drawn(number))}
-
-        return lru_cache(_REMEMBERED)(row)
+    def _rows(self) -> dict[int, dict[str, Any]]:
+        """By vehicle: the table is written before the flights and after them."""
+        return {}
 
     @cached_property
     def _drawn(self) -> Callable[[int], dict[str, Any]]:
@@ -118,12 +125,11 @@ def make_plan(
     vehicles: int,
     seed: int | None = None,
     in_chunk: int | None = None,
-    progress: Progress = silent,
 ) -> Plan:
-    """The plan, every vehicle's scenario checked.
+    """The plan, whose vehicles are not checked yet.
 
     seed: the scenario's own where not given. in_chunk: vehicles in a chunk; `chunk_size` where not given.
-    Raises BadInput for a scenario that has no ensemble and for a vehicle that cannot be.
+    Raises BadInput for a scenario that has no ensemble.
     """
     if scenario.replay is not None:
         raise BadInput("[replay] flies what one vehicle did", where="ensemble", wanted="a scenario with an [orbit]")
@@ -142,12 +148,7 @@ def make_plan(
         )
     rows = build_world(scenario).time.size
     chosen = chunk_size(rows, vehicles) if in_chunk is None else in_chunk
-    plan = Plan(scenario, scenario.seed if seed is None else seed, vehicles, chosen)
-    for number in range(vehicles):
-        if number % 100 == 0:
-            progress(f"checking vehicle {number} of {vehicles}", 0.0)
-        plan.vehicle(number)
-    return plan
+    return Plan(scenario, scenario.seed if seed is None else seed, vehicles, chosen)
 
 
 def require_same(plan: Plan, folder: Path, record: str = RECORD) -> None:

@@ -18,7 +18,7 @@ from fluxtwin.sim.base import files
 from fluxtwin.sim.base.errors import BadInput, NoAnswer
 from fluxtwin.sim.base.progress import Progress, silent
 from fluxtwin.sim.base.seals import sealed_json
-from fluxtwin.sim.base.workers import answers, require_workers
+from fluxtwin.sim.base.workers import require_workers, team
 from fluxtwin.sim.run.ensemble import chunk, summary
 from fluxtwin.sim.run.ensemble.plan import (
     RECORD,
@@ -69,14 +69,17 @@ def fly_ensemble(
     folder = Path(out)
     if resume and in_chunk is None:
         in_chunk = recorded_chunk(folder)
-    plan = make_plan(plan_of, vehicles, seed, in_chunk, progress)
-    _begin(plan, folder, resume)
+    plan = make_plan(plan_of, vehicles, seed, in_chunk)
+    _require_free(plan, folder, resume)
     todo = [number for number in range(plan.chunks) if not (resume and chunk.is_whole(plan, folder, number))]
     place = None if executor or scheduler else str(folder.resolve())
     record = plan.record()
-    calls = [(record, place, number) for number in todo]
-    events = answers(chunk.fly_chunk, calls, jobs=jobs, scheduler=scheduler, executor=executor)
-    _keep(plan, folder, todo, events, progress)
+    with team(len(todo), jobs=jobs, scheduler=scheduler, executor=executor) as ask:
+        progress(f"checking {plan.vehicles} vehicles", 0.0)
+        for rows in ask(chunk.check_chunk, [(record, number) for number in todo]):
+            plan.remember(rows)
+        _begin(plan, folder)
+        _keep(plan, folder, todo, ask(chunk.fly_chunk, [(record, place, number) for number in todo]), progress)
     progress("tables", 0.98)
     found = summary.summarise(plan, folder)
     around = summary.envelope(plan, folder)
@@ -91,8 +94,7 @@ def whole_chunks(folder: Path | str) -> int:
     return len(list(Path(folder).glob("chunk-*.nc")))
 
 
-def _begin(plan: Plan, folder: Path, resume: bool) -> None:
-    files.writable_folder(folder)
+def _require_free(plan: Plan, folder: Path, resume: bool) -> None:
     if (folder / RECORD).exists() or whole_chunks(folder):
         if not resume:
             raise BadInput(
@@ -101,6 +103,10 @@ def _begin(plan: Plan, folder: Path, resume: bool) -> None:
                 wanted="--resume to go on with it, or another folder",
             )
         require_same(plan, folder)
+
+
+def _begin(plan: Plan, folder: Path) -> None:
+    files.writable_folder(folder)
     (folder / summary.SUMMARY).unlink(missing_ok=True)  # it says that all is done
     write_record(plan, folder)
     summary.write_index(plan, folder)

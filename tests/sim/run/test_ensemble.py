@@ -100,9 +100,17 @@ def content(folder: Path) -> dict[str, Any]:
 
 
 def test_another_executor_changes_no_bit(scenario: Scenario, straight: Path, tmp_path: Path) -> None:
-    with ThreadPoolExecutor(1) as pool:
+    asked: list[str] = []
+
+    class Pool(ThreadPoolExecutor):
+        def submit(self, function: Any, /, *arguments: Any, **options: Any) -> Any:
+            asked.append(function.__name__)
+            return super().submit(function, *arguments, **options)
+
+    with Pool(1) as pool:
         fly_ensemble(scenario, VEHICLES, tmp_path / "pool", in_chunk=IN_CHUNK, executor=pool)
     assert content(tmp_path / "pool") == content(straight)
+    assert asked == ["check_chunk"] * 4 + ["fly_chunk"] * 4, "the calling process draws no vehicle by itself"
 
 
 @pytest.mark.filterwarnings("default")  # of dask's own

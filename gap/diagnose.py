@@ -24,6 +24,7 @@ from fluxtwin.gap.hypotheses.candidates import candidates
 from fluxtwin.gap.hypotheses.evidence import BlockFit, Dictionary
 from fluxtwin.gap.hypotheses.perturbed_design import PerturbedDesign
 from fluxtwin.gap.law.found import closed_by, law_of
+from fluxtwin.gap.law.words import beside_names
 from fluxtwin.gap.linear.projection import ProjectedResidual, projected
 from fluxtwin.gap.noise.budget import prior_of
 from fluxtwin.gap.noise.choice import NoiseModel, choose_noise, complete_budget, likely_noises, whitener_of
@@ -146,13 +147,16 @@ def diagnose(
 def _with_law(work: Work, found: Diagnosis, progress: Progress) -> Diagnosis:
     """The diagnosis with the law of what its names leave; where they leave nothing, as it is."""
     open_ = found.verdict == "unknown" or found.gap.shape_incomplete
+    exact = any(effect.by_definition for effect, _ in work.answer.result.chosen)  # what it leaves is not its shape
     in_torques = work.momentum.unexplained and work.known >= 0.5
-    if not open_ or in_torques or found.closure is None:
+    if not (open_ or exact) or in_torques or found.closure is None:
         return found
     law = law_of(work.problem, work.answer, work.in_readings if found.verdict == "effect" else [], progress)
+    if not open_ and not law.terms:
+        return found
     assumed = words.assumed(found.assumed)
-    parts = (found.sentence.removesuffix(assumed).rstrip(), law.record.sentence, assumed)
-    sentence = " ".join(filter(None, parts))
+    said = beside_names(found.sentence.removesuffix(assumed).rstrip(), law.record)
+    sentence = " ".join(filter(None, (said, assumed)))
     return replace(found, law=law.record, sentence=sentence, closure=closed_by(law, found.closure))
 
 

@@ -97,12 +97,25 @@ def law_of(problem: Problem, answer: Answer, named: Sequence[FoundEffect], progr
     instead = _Search(regression, answer, alone, alone).found()
     now = found.weighed or search.weighed(beside.residual_nT, beside.fitted_nT, 0)
     if instead.weighed is not None:
-        wider = 1.0 + SHAPE * max(now.explained, instead.weighed.explained)
+        most = max(now.explained, instead.weighed.explained)
+        wider = 1.0 + SHAPE * max(most - _by_definition(problem, answer), 0.0)
         samples = problem.measured.sum() / 3.0
         if instead.weighed.worth(wider, samples) - LOG_FURTHER > now.worth(wider, samples):
             names = tuple(one.name for one in named)
             return replace(instead, record=words.instead(replace(instead.record, instead_of=names)))
     return found
+
+
+def _by_definition(problem: Problem, answer: Answer) -> float:
+    """Drop of chi-square by names whose form is a definition: a law of more than they say is none of their shape.
+
+    A column may be recorded coarsely or early, so beside names that alone is no reason to look for anything unknown.
+    """
+    bare = without_names(problem, answer)
+    exact = problem.derivatives([one for one in answer.result.chosen if one[0].by_definition])
+    both = (bare, np.concatenate([bare, exact], axis=2))
+    nothing, drivers = (projected(answer.whitener, answer.result.residual_alone_nT, one).energy for one in both)
+    return nothing - drivers
 
 
 def closed_by(law: Lawful, closure: Closure) -> Closure:

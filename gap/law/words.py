@@ -140,7 +140,15 @@ def sentence(law: Law, named: bool, orbits: float) -> str:
 def instead(law: Law) -> Law:
     """The law with the names that it does without in its sentence."""
     names = " and ".join(law.instead_of)
-    return replace(law, sentence=f"{law.sentence} It explains more than {names}, which it replaces.")
+    said = law.sentence.replace("describes it:", "describes the gap:", 1)
+    return replace(law, sentence=f"{said} It explains more than {names}, which it replaces.")
+
+
+def beside_names(said: str, law: Law) -> str:
+    """What is said of names, and the law: first, where it replaces them."""
+    if not law.instead_of:
+        return f"{said} {law.sentence}"
+    return f"{law.sentence} From the catalogue alone, {said[:1].lower()}{said[1:]}"
 
 
 def nothing(law: Law) -> str:

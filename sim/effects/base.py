@@ -56,6 +56,9 @@ class Effect(ABC):
     one and for six orbits, inertial hold, a tumble of 0.25 deg/s, a spin of 2 rpm; the tumble gains three to ten times on
     what nadir geometry hides in bias and matrix."""
     equivalent_stages: ClassVar[tuple[str, ...]] = ()
+    by_definition: ClassVar[bool] = False
+    """Whether its form is a definition and no model of nature: it has no shape error, so that a law that explains more
+    takes its place."""
     keyed_by: ClassVar[str | None] = None
     """The setting (a text) that tells effects of this class apart and is part of their names, as in `driver.payload`."""
 

@@ -160,6 +160,7 @@ class Driver(SpacecraftField):
 
     name = "driver"
     follows = "driver"
+    by_definition = True
     keyed_by = "column"
     settled_by = "switching what it records on and off, in several attitudes"
     about = (

@@ -147,6 +147,35 @@ def test_a_square_in_the_orbits_frame_is_told_from_one_in_the_bodys() -> None:
     assert {name for term in found.law.terms for name in term.of} <= {"driver_heat", "driver_heat^2", "driver_heat^3"}
 
 
+def test_what_a_driver_leaves_is_none_of_its_shape_but_the_law_s() -> None:
+    """The heat is nearly steady, so that the payload alone closes most of their product."""
+    record = flown()
+    heat = 6.0 + record.drivers["heat"]
+    record = record.replace(drivers={**record.drivers, "heat": heat})
+    found = diagnose(added(record, np.outer(heat * record.drivers["payload"], K_NT / 6.0)), load_field(), budget=BUDGET)
+    assert found.law is not None
+    assert {name for term in found.law.terms for name in term.of} == {"driver_heat", "driver_payload"}
+    if found.verdict == "effect":
+        assert tuple(found.law.instead_of) == ("driver.payload",) and found.sentence.startswith(found.law.sentence)
+    assert found.closure is not None and {one.name for one, _ in found.closure.chosen} == {
+        f"law.{term.name}" for term in found.law.terms
+    }
+
+
+@pytest.mark.parametrize(("held", "levels", "late_s"), [(1, 1000, 0.0), (3, 12, 0.0), (3, 12, 200.0)])
+def test_a_proportion_is_named_though_its_column_is_coarse_or_early(held: int, levels: int, late_s: float) -> None:
+    """Recorded in every third row and held, in steps of a twelfth of its range; the field follows later."""
+    record = flown()
+    heat = record.drivers["heat"]
+    field = np.outer(before(heat, late_s), 2.0 * K_NT)
+    step = np.ptp(heat) / levels
+    coarse = step * np.rint(heat[np.arange(heat.size) // held * held] / step)
+    record = record.replace(drivers={**record.drivers, "heat": coarse})
+    found = diagnose(added(record, field), load_field(), budget=BUDGET)
+    assert [one.name for one in found.effects] == ["driver.heat"]
+    assert found.verdict == "effect" and found.law is None
+
+
 def test_where_no_column_does_it_none_is_named() -> None:
     """Steps to random levels at random times, which nothing has recorded."""
     record, rng = flown(), np.random.default_rng(8)

@@ -15,7 +15,7 @@ from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
 from fluxtwin.sim.earth import frames
 from fluxtwin.sim.telemetry.columns import FileTable, Resolution, resolve
 from fluxtwin.sim.telemetry.quantities import ANGLES, BY_NAME, DRIVERS, FAMILIES
-from fluxtwin.sim.telemetry.record import Telemetry
+from fluxtwin.sim.telemetry.record import Telemetry, is_frozen
 
 METRES_ABOVE = 1.0e5
 """A median |r| beyond this is no orbit in km that a magnetometer serves (GEO is 42,164 km) but metres."""
@@ -108,10 +108,19 @@ def _fields(table: FileTable, found: Resolution) -> dict[str, FloatArray]:
 
 
 def _joined(columns: Sequence[FloatArray]) -> FloatArray:
-    """(N, n); nobody can change it, so that the record takes it as it is."""
+    """(N, n); nobody can change it, so that the record takes it as it is. Columns of one such array are that array."""
+    whole: object = columns[0]
+    while isinstance(whole, np.ndarray):
+        if whole.ndim == 2 and is_frozen(whole) and all(map(_is_column, columns, whole.T)):
+            return whole
+        whole = whole.base
     whole = np.stack(columns, axis=1)
     whole.setflags(write=False)
     return whole
+
+
+def _is_column(one: FloatArray, other: FloatArray) -> bool:
+    return one.strides == other.strides and one.ctypes.data == other.ctypes.data
 
 
 def _named(table: FileTable, found: Resolution) -> dict[str, dict[str, FloatArray] | dict[str, str]]:

@@ -166,14 +166,18 @@ class Telemetry(Shown):
 
     @classmethod
     def from_pandas(cls, frame: Any) -> Telemetry:
-        """The record of a DataFrame with the columns of a file, units in their names or attributes. Raises BadInput."""
+        """The record of a DataFrame with the columns of a file, units in their names or attributes. Raises BadInput.
+
+        A record cannot change, so it shares only arrays that nobody can write to, as those of `to_pandas`; whatever may
+        still be written to is copied once, and so are stamps, and components that do not lie side by side in memory.
+        """
         from fluxtwin.sim.telemetry.telemetry_files import read_telemetry
 
         return read_telemetry(frame)
 
     @classmethod
     def from_xarray(cls, dataset: Any) -> Telemetry:
-        """The record of a Dataset, likewise; vectors may be variables of three components."""
+        """The record of a Dataset, copied and shared likewise; vectors may be variables of three components."""
         from fluxtwin.sim.telemetry.telemetry_files import read_telemetry
 
         return read_telemetry(dataset)
@@ -345,7 +349,7 @@ def _check_time(time: TimeArray) -> None:
         )
 
 
-def _is_frozen(value: object) -> TypeGuard[FloatArray]:
+def is_frozen(value: object) -> TypeGuard[FloatArray]:
     """Whether it is an array of numbers that nobody can change, so that records may share it."""
     if not isinstance(value, np.ndarray) or value.dtype != np.float64 or not value.flags.c_contiguous:
         return False
@@ -358,7 +362,7 @@ def _is_frozen(value: object) -> TypeGuard[FloatArray]:
 
 
 def _frozen_array(name: str, value: object, rows: int, width: int) -> FloatArray:
-    array = value if _is_frozen(value) else np.array(value, dtype=np.float64)
+    array = value if is_frozen(value) else np.array(value, dtype=np.float64)
     if width == -1 and array.ndim == 1:
         array = array.reshape(rows, -1)
     wanted = (rows,) if width == 0 else (rows, array.shape[-1] if width == -1 else width)

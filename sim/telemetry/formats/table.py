@@ -146,7 +146,7 @@ def _with(stem: str, unit: str) -> str:
 
 def _one(table: Table, name: str, component: int | None) -> FloatArray:
     value = table.numbers(name)
-    return value if component is None else np.ascontiguousarray(value[:, component])
+    return value if component is None else np.asarray(value[:, component])
 
 
 def in_ns(stamps: np.ndarray, name: str, where: str) -> TimeArray:

@@ -315,9 +315,13 @@ def test_a_run_of_42(record: fluxtwin.Telemetry, tmp_path: Path) -> None:
 
 
 def test_frames_of_pandas_and_xarray_as_they_are(record: fluxtwin.Telemetry) -> None:
-    same(record, fluxtwin.Telemetry.from_pandas(record.to_pandas()))
-    dataset = record.to_xarray()
-    same(record, fluxtwin.Telemetry.from_xarray(dataset))
+    dataset, frame = record.to_xarray(), record.to_pandas()
+    for back in (fluxtwin.Telemetry.from_pandas(frame), fluxtwin.Telemetry.from_xarray(dataset)):
+        same(record, back)
+        for name in ("mag_B_nT", "r_N_km", "q_NB"):
+            assert np.shares_memory(getattr(back, name), getattr(record, name)), f"{name} can be written to by nobody"
+    turned = fluxtwin.Telemetry.from_pandas(frame.rename(columns={"mag_x_nT": "mag_y_nT", "mag_y_nT": "mag_x_nT"}))
+    assert np.array_equal(turned.mag_B_nT, record.mag_B_nT[:, [1, 0, 2]])
     assert np.shares_memory(dataset["mag_B_nT"].values, record.mag_B_nT), "not copied"
     column = record.to_pandas()["mag_y_nT"].to_numpy()
     assert np.shares_memory(column, record.mag_B_nT) and not column.flags.writeable

@@ -56,7 +56,9 @@ def compare(
     for name, estimator in estimators.items():
         taken = {key: value for key, value in given.items() if key in estimator.takes}
         try:
-            errors[name] = _held_out(telemetry, model, stretch, partial(estimator.fit, model=model, given=taken))
+            errors[name] = _held_out(
+                telemetry, model, stretch, partial(estimator.fit, model=model, given=taken, sigmas=False)
+            )
         except FluxtwinError as error:
             found[name] = MethodResult(name, why_not=_why_not(error, given))
     if not errors:

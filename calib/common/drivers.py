@@ -147,7 +147,7 @@ def fitted(asked: Asked, rows: np.ndarray, others: FloatArray, fit: Callable[[Co
     return replace(final, messages=(*final.messages, said, *more))
 
 
-def taken_out_first(telemetry: Telemetry, found: Fit, fit: Callable[[Telemetry], F]) -> F:
+def taken_out_first(telemetry: Telemetry, found: Fit, fit: Callable[[Telemetry], F], *, sigmas: bool) -> F:
     """A fit by a method that takes the spacecraft's own field for constant, to readings less the fields of `found`.
 
     Their covariance is in its own: a refit for each of its principal parts, as in a joint fit by least squares, where what
@@ -164,7 +164,7 @@ def taken_out_first(telemetry: Telemetry, found: Fit, fit: Callable[[Telemetry],
 
     own = freed(np.zeros(3 * len(biases)))
     covariance = own.calibration.covariance
-    for part in np.linalg.cholesky(found.driver_covariance).T if biases else ():
+    for part in np.linalg.cholesky(found.driver_covariance).T if biases and sigmas else ():
         step = freed(part).calibration.values - own.calibration.values
         covariance = covariance + np.outer(step, step)
     said = f"the fields of the columns are those of {found.method}, which works with |B|; they are taken out first"

@@ -143,8 +143,11 @@ class Estimator:
         other = ("method", "telemetry_bias") if self.drivers_by else ("method",)
         return {item.name: item for item in fields(self.options) if item.name not in other}
 
-    def fit(self, telemetry: Telemetry, model: FieldModel, given: Mapping[str, Any]) -> Fit:
-        """Calibrate a record by the options that are given. Errors as the method's own."""
+    def fit(self, telemetry: Telemetry, model: FieldModel, given: Mapping[str, Any], *, sigmas: bool = True) -> Fit:
+        """Calibrate a record by the options that are given. Errors as the method's own.
+
+        sigmas: whether those of S and b have to contain what the fields of columns leave open, which takes refits.
+        """
         fit, options = _imported(self.home), self.options(method=self.name, **given)
         if not self.drivers_by or not given.get("driver"):
             return cast("Fit", fit(telemetry, model, options))
@@ -153,7 +156,7 @@ class Estimator:
         own = self.options(method=self.name, **{**given, "driver": ()})
         shared = {name: value for name, value in given.items() if name in _OF_READINGS}
         found = _imported(self.drivers_by)(telemetry, model, **shared)
-        return taken_out_first(telemetry, found, lambda freed: cast("Fit", fit(freed, model, own)))
+        return taken_out_first(telemetry, found, lambda freed: cast("Fit", fit(freed, model, own)), sigmas=sigmas)
 
 
 def _imported(home: str) -> Callable[..., Any]:

@@ -12,6 +12,7 @@ from dask_cluster import cluster
 from worlds import scenario_text
 
 import fluxtwin
+import fluxtwin.campaigning
 from fluxtwin.fleets import diagnoses
 
 pytestmark = [
@@ -54,6 +55,29 @@ def test_the_bits_are_those_of_this_machine_and_a_lost_worker_costs_nothing(tmp_
     assert [one.to_dict() for one in found.values()] == [fluxtwin.diagnose(path).to_dict() for path in files]
     assert said.status == 0 and said.out == cli("diagnose", *files[:2], "--jobs", 1).out
     assert said.out.count(".nc: ") == 2
+
+
+def test_a_campaign_loses_nothing_with_a_worker(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Four runs, a part each, so that a worker is lost while others wait; then the same runs here."""
+    pytest.importorskip("distributed")
+    monkeypatch.setattr(fluxtwin.campaigning, "_IN_PART", 1)
+    draws = '[draws]\n"magnetometer.b_nT" = { normal = 1500.0 }\n'
+    (tmp_path / "s.toml").write_text(
+        scenario_text(MAGNETOMETER + draws, segment="samples = 300, step_s = 20.0"), encoding="utf-8"
+    )
+    with cluster(tmp_path, 2) as far:
+
+        def kill_one(words: str, share: float) -> None:
+            if 0.0 < share < 0.9 and far.workers[0].poll() is None:
+                far.workers[0].send_signal(signal.SIGKILL)
+
+        there = fluxtwin.campaign(tmp_path / "s.toml", 4, tmp_path / "far", scheduler=far.address, progress=kill_one)
+        assert far.workers[0].wait() == -signal.SIGKILL and far.workers[1].poll() is None
+    here = fluxtwin.campaign(tmp_path / "s.toml", 4, tmp_path / "here", jobs=1)
+    assert len(there.runs) == 4 and there.runs == here.runs and there.summary == here.summary
+    names = sorted(path.name for path in (tmp_path / "here").iterdir())
+    assert names == sorted(path.name for path in (tmp_path / "far").iterdir()) and "part-00003.json" in names
+    assert all((tmp_path / "here" / name).read_bytes() == (tmp_path / "far" / name).read_bytes() for name in names)
 
 
 def test_what_does_not_go_together_is_said(tmp_path: Path, cli: Cli) -> None:

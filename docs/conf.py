@@ -10,6 +10,7 @@ from typing import Any
 
 from docutils import nodes
 from docutils.utils.math.latex2mathml import tex2mathml
+from pygments.lexers import TextLexer
 from sphinx.application import Sphinx
 
 import fluxtwin
@@ -25,6 +26,7 @@ html_css_files = ["wide.css"]
 html_title = f"fluxtwin {version}"
 html_show_copyright = html_show_sphinx = html_copy_source = False
 highlight_language = "none"  # what a fence does not name is not guessed
+smartquotes_action = "qe"  # an option keeps its two dashes
 
 myst_enable_extensions = ["dollarmath"]
 myst_heading_anchors = 4  # the anchors that forges make, so that a link leads to the same place there and here
@@ -34,6 +36,12 @@ autodoc_typehints = "none"
 autodoc_member_order = "bysource"
 add_module_names = False
 
+UNITS = r"%|(?:[nµu]T|mG|deg|[mu]?s|min|h|[km]?m|m?Hz|rpm|MB|m?A|rad)\b"
+TOGETHER = re.compile(
+    rf"(?<=\d) (?={UNITS})|(?<=[\d%]) (?=(?:of|to) -?\d)|(?<=[\d%] (?:of|to)) (?=-?\d)|(?<=\w) (?=x\d)"
+)
+MINUS = re.compile(r"(?<=[\de])-(?=\d)")
+LONG = re.compile(r"[\w.:/|,]{25,}(?![^<]*>)")
 PARAMETERS = re.compile(r"(?:^|(?<=[.;] ))([a-z_]\w*(?:, [a-z_]\w*)*): ")
 OUTCOME = re.compile(r"(?<=[.;] )(?:Raises|Returns) ")
 
@@ -69,6 +77,12 @@ def _items(paragraph: str, known: set[str]) -> list[str]:
     return made
 
 
+def without_addresses(*event: Any) -> tuple[str | None, str | None]:
+    """A default that is a function, or made by one, is dots."""
+    signature, returned = event[-2:]
+    return signature and re.sub(r"=<(?:function \S+|factory)>", "=...", signature), returned
+
+
 def outside_as_files(_app: Any, name: str, source: list[str]) -> None:
     """A link to a page outside this folder (../CONTRIBUTING.md) leads to the file itself, which the site then holds."""
 
@@ -79,10 +93,33 @@ def outside_as_files(_app: Any, name: str, source: list[str]) -> None:
     source[0] = re.sub(r"\[([^\]]+)\]\((\.\./[\w./-]+\.md)\)", changed, source[0])
 
 
+def kept_together(_app: Any, doctree: nodes.document, _name: str) -> None:
+    """A line does not end between a number and its unit, within a range, or within an exponent."""
+    for text in list(doctree.findall(nodes.Text)):
+        if not isinstance(text.parent, nodes.literal | nodes.literal_block | nodes.math | nodes.math_block | nodes.raw):
+            kept = MINUS.sub("-\u2060", TOGETHER.sub("\u00a0", str(text)))
+            if kept != text:
+                text.parent.replace(text, nodes.Text(kept))
+
+
+def divided(_app: Any, _page: str, _template: str, context: dict[str, Any], _doctree: Any) -> None:
+    """A long name of code, or any in a table, may be divided after its signs; a short one of code stays whole."""
+
+    def parts(name: re.Match[str]) -> str:
+        return re.sub(r"(?<=\w)([_.,:/|]+)(?=\w)", r"\1<wbr>", name[0])
+
+    def code(word: re.Match[str]) -> str:
+        return f'<span class="pre long">{LONG.sub(parts, word[1])}</span>' if LONG.search(word[1]) else word[0]
+
+    body = re.sub(r"<td\b.*?</td>", lambda cell: LONG.sub(parts, cell[0]), context.get("body", ""), flags=re.DOTALL)
+    context["body"] = re.sub(r'<span class="pre">(.*?)</span>', code, body)
+
+
 def mathml(self: Any, node: nodes.Element) -> None:
     """A formula as MathML, which browsers draw by themselves: no script, nothing to fetch."""
     inline = isinstance(node, nodes.math)
     markup = tex2mathml(node.astext(), as_block=not inline)
+    markup = re.sub(r"<mo>&ApplyFunction;</mo>(?!\s*<mo[^>]*>\()", '<mspace width="0.17em"></mspace>', markup)
     self.body.append(markup if inline else f'<div class="math">{markup}</div>\n')
     raise nodes.SkipNode
 
@@ -91,4 +128,9 @@ def setup(app: Sphinx) -> None:
     """Called by Sphinx."""
     app.connect("source-read", outside_as_files)
     app.connect("autodoc-process-docstring", parameters_as_list)
+    app.connect("autodoc-process-signature", without_addresses)
+    app.connect("doctree-resolved", kept_together)
+    app.connect("html-page-context", divided)
+    for shell in ("console", "sh"):  # words of other commands and halves of numbers are not coloured
+        app.add_lexer(shell, TextLexer)
     app.add_html_math_renderer("mathml", (mathml, None), (mathml, None))

@@ -25,7 +25,8 @@ def choose(question: Open, flown: Sequence[tuple[Design, Flown]]) -> Question:
     """The best three manoeuvres for a question: those that are enough by their hours, then the others by their power."""
     tried = [one for each in flown if (one := _shortest(question, *each)).power >= _WORTH_SAYING]
     courses = [_course(question, one) for one in sorted(tried, key=_rank)[:_KEPT]]
-    instead = find_effect(question.names[0]).settled_by if question.kind == "show" else ""
+    by_manoeuvre = question.kind == "place" or (question.kind == "tell_apart" and courses)
+    instead = "" if by_manoeuvre else find_effect(question.names[0]).settled_by
     same = next((one for one in flown if one[0].kind == "nadir" and not one[0].tests and not one[0].wait_days), None)
     before = None if same is None else _course(question, _shortest(question, *same))
     return Question(question.kind, question.names, question.words, courses, before, instead)
@@ -87,9 +88,14 @@ def _answers(question: Open, view: Flown, rows: int) -> list[Answer]:
         said = f"if it is named, it is present; if not, it is smaller than typical, with {100 * power:.0f} % confidence"
         return [Answer(name, power, said)]
     found = []
+    ended = [cause.name for cause in question.causes if cause.over]
     for cause in question.causes:
-        if cause.effect.bound is not None:
-            found.append(Answer(cause.name, 1.0 - GATE, f"if nothing is named, it was {cause.name}, which has ended"))
+        if cause.name in ended:
+            # Of two that have ended no later flight tells which it was.
+            power = 1.0 - GATE if len(ended) == 1 else 0.0
+            found.append(
+                Answer(cause.name, power, f"if nothing is named, it was {' or '.join(ended)}, which has ended")
+            )
             continue
         power = view.distinguishing(cause, question.names, rows)
         others = " and ".join(other.name for other in question.causes if other is not cause)

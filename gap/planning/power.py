@@ -29,7 +29,7 @@ from fluxtwin.gap.selection.refit import Readings, refit
 from fluxtwin.gap.selection.score import Board, board, whitened
 from fluxtwin.gap.selection.search import IN_GROUP
 from fluxtwin.sim.base.types import FloatArray
-from fluxtwin.sim.effects.base import SignalEffect
+from fluxtwin.sim.effects.base import GOES_ON, SignalEffect
 
 _DRAWS = 400
 """A power of 0.9 is then good to 0.015."""
@@ -58,6 +58,11 @@ class Cause:
     @property
     def name(self) -> str:
         return self.effect.name
+
+    @property
+    def over(self) -> bool:
+        """Whether a later flight has it no more, as a step; a drift goes on."""
+        return self.effect.bound not in (None, GOES_ON)
 
     @cached_property
     def each(self) -> tuple[Cause, ...]:

@@ -61,6 +61,9 @@ def ambiguous(names: Sequence[str], flown: Flown, first: Cause) -> list[Open]:
     causes = [first]
     for name in [name for name in names if name != first.name][: _MOST_ALIKE - 1]:
         other = flown.imitating(first, name)
+        if first.over and isinstance(find_effect(name), SignalEffect):
+            # What has ended looks like nothing on a later flight.
+            other = other if other is not None and other.theta.any() else typical(name)
         if other is not None and other.theta.any():  # else its sign is the wrong one
             causes.append(other)
     return [apart(causes)] if len(causes) > 1 else []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from types import SimpleNamespace
 from typing import Any
 
@@ -11,10 +12,10 @@ from scipy.stats import norm
 from worlds import PARTS, scenario_text
 
 from fluxtwin.gap.planning.base import base_tree
-from fluxtwin.gap.planning.choose import _rank, choose
+from fluxtwin.gap.planning.choose import _answers, _rank, choose
 from fluxtwin.gap.planning.designs import Design, LimitsSection, designs
 from fluxtwin.gap.planning.power import Cause, Flown, probability_of
-from fluxtwin.gap.planning.questions import Open, ambiguous, to_place
+from fluxtwin.gap.planning.questions import Open, ambiguous, apart, signal, to_place, typical
 from fluxtwin.gap.selection.score import board
 from fluxtwin.planning import view_of
 from fluxtwin.sim.base.toml_input import validate
@@ -141,6 +142,20 @@ def test_an_unknown_field_is_placed_by_what_it_has_beyond_the_floor() -> None:
 def test_of_one_cause_nothing_is_ambiguous() -> None:
     flown: Any = SimpleNamespace(imitating=lambda first, name: None)
     assert ambiguous(["along_track_error"], flown, Cause(TimeTagOffset(), np.array([3.0]))) == []
+
+
+def test_of_two_steps_that_are_over_no_flight_tells_which_it_was(flown: dict[str, tuple[Design, Flown]]) -> None:
+    """A diagnosis that was read from its JSON has only later flights to look at: the question is asked all the same, and
+    first; of a step and a drift, which goes on, one is told by nothing being named."""
+    (step, drift), view = (signal(name) for name in ("bias_step", "linear_drift")), next(iter(flown.values()))[1]
+    first = Cause(dataclasses.replace(step, at="2020-02-28T00:00:00Z"), np.array([200.0, 0.0, 0.0]))
+    (both,) = ambiguous(["bias_step", "mounting_step"], view, first)
+    assert set(both.names) == {"bias_step", "mounting_step"}
+    found = choose(both, list(flown.values()))
+    assert found.best is None and found.instead == step.settled_by
+    assert [one.power for one in _answers(both, view, 100)] == [0.0, 0.0]
+    alone, _ = _answers(apart([first, typical(drift.name)]), view, 100)
+    assert alone.power > 0.99 and "bias_step, which has ended" in alone.means
 
 
 def test_power_grows_with_size_and_time(flown: dict[str, tuple[Design, Flown]]) -> None:

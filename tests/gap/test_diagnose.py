@@ -61,8 +61,9 @@ def diagnosed(record: Telemetry) -> Diagnosis:
 
 @pytest.mark.parametrize("design", ["nadir", "tumble"])
 def test_a_perfect_simulation_has_no_gap(design, close):
-    found = diagnosed(telemetry(design))
-    assert found.verdict == "no_gap"
+    record = telemetry(design)
+    found = diagnosed(record)
+    assert found.verdict == "no_gap" and found.samples["used"] + found.samples["cut"] == len(record)
     assert found.effects == [] and found.gap.closed is None
     close(
         found.gap.before_nT,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import fluxtwin
-from fluxtwin.calib.attitude.filter import FilterRows, Noises, assemble_rows, learned, q_method, run, starts
+from fluxtwin.calib.attitude.filter import FilterRows, Noises, assemble_rows, fixes, learned, q_method, run, starts
 from fluxtwin.calib.attitude.three_axis import consistency
 from fluxtwin.calib.common.records import Calibration
 from fluxtwin.sim.attitude.gauss_markov import gauss_markov
@@ -132,6 +133,16 @@ def world(orbit: dict[str, np.ndarray], seed: int) -> tuple[FilterRows, np.ndarr
 def errors(A: np.ndarray, truth: np.ndarray) -> np.ndarray:
     """(N, 3) turn from the estimate to the truth about body axes [rad]."""
     return -(Rotation.from_matrix(truth) * Rotation.from_matrix(A).inv()).as_rotvec()
+
+
+def test_field_and_nadir_of_one_row_fix_its_attitude(orbit: dict[str, np.ndarray], close: Callable[..., None]) -> None:
+    """Without errors; the readings have b, and an S that is not symmetric."""
+    rows, truth = world(orbit, 3)
+    field_B, nadir_B = (np.einsum("kij,kj->ki", truth, v) for v in (rows.field_N_nT, rows.nadir_N))
+    rows = replace(rows, reading_nT=(field_B - B_NT) @ np.linalg.inv(np.eye(3) + S).T, nadir_B=nadir_B)
+    found, covariance = fixes(replace(rows, sun_B=np.full_like(nadir_B, np.nan)), P)
+    assert np.isfinite(covariance).all()
+    close(errors(found.as_matrix(), truth), 0.0, atol=1e-7, unit="rad", because="two exact directions")
 
 
 def test_the_q_method_is_the_weighted_solution_of_wahba(close: Callable[..., None]) -> None:

@@ -13,6 +13,7 @@ from fluxtwin.sim.base.errors import BadInput, OutOfRange
 from fluxtwin.sim.run.simulate import simulate
 from fluxtwin.sim.run.world import build_world
 from fluxtwin.sim.scenario.scenario import load_scenario, parse_scenario, save_scenario
+from fluxtwin.sim.scenario.sections import TorquersSection
 
 pytestmark = pytest.mark.property
 
@@ -85,6 +86,12 @@ def test_segments_must_be_in_order():
     start = '{ start_utc = "2020-03-01T00:00:00Z", samples = 50, step_s = 30.0 }'
     with pytest.raises(BadInput, match="overlap"):
         build_world(parse_scenario(SMALL.replace(start, f"{start}, {start}")))
+
+
+def test_a_moment_in_pole_cm_is_a_thousandth_of_it_in_A_m2():
+    """1 pole cm, the unit of moment of the CGS system, is 1 erg/G = 1e-3 J/T (Jackson, appendix, table 4)."""
+    section = TorquersSection(dipole_pole_cm=1e4, positions_m=[[1.0, 0.0, 0.0]] * 3)
+    assert section.Am2 == pytest.approx(10.0, rel=1e-12)
 
 
 def test_updated_changes_only_what_is_named():

@@ -436,7 +436,13 @@ def test_nothing_stands_out_of_noise_that_is_known_to_be_larger(close: Close) ->
     values = np.random.default_rng(46).standard_normal((401, 3))
     values[200, 1] += 36.0
     spike = values[200, 1] - np.median(values[197:204, 1])
-    close(standing_out(values, 9.0)[200, 1], spike / 9.0, atol=1e-12, unit="sigma", because="seven rows, by the definition")
+    close(
+        standing_out(values, 9.0)[200, 1],
+        spike / 9.0,
+        atol=1e-12,
+        unit="sigma",
+        because="seven rows, by the definition",
+    )
 
 
 # ---------------------------------------------------------------- thin and degenerate data

@@ -166,6 +166,8 @@ def test_last_months_calibration(record: Telemetry) -> None:
     good = Calibration(S, np.array([1500.0, -800.0, 300.0]), covariance=np.diag(sigmas**2), span=long_ago)
     first, rest = record.select(slice(0, FIRST)), record.select(slice(FIRST, None))
     watch = begin(first, MODEL, None, good)
+    known = [1.0] * 3 + [1e-4 * module._USUAL_nT] * 9 + [5.0] * 3
+    assert np.sqrt(np.diag(watch.covariance)) == pytest.approx(known, rel=1e-12)
     assert watch.take(first) is None and watch.take(rest) is None and watch.rows == len(record)
     old = begin(first, MODEL, None, replace(good, b_nT=good.b_nT + np.array([0.0, 0.0, 60.0])))
     changed = old.take(first)

@@ -351,6 +351,13 @@ def test_stuck_bits_are_stuck() -> None:
         assert set(np.unique(change).tolist()) == {0.0, 16.0 if bit else -16.0}
 
 
+def test_a_lag_of_two_rows_is_that_of_more(close: Callable[..., None]) -> None:
+    """A filter does not know how many rows will follow."""
+    lag = [(SensorLag(), np.array([3.0]))]
+    two, more = (spinning(np.arange(rows) * 5.0, 0.05, CROOKED).reading_nT(lag)[:2] for rows in (2, 50))
+    close(two, more, atol=1e-6, unit="nT", because="the same field, which turns steadily")
+
+
 def test_sensor_lag_smooths_a_torquer_edge(close: Callable[..., None]) -> None:
     """A dipole that comes on between two rows, h apart, is followed as a ramp and then an exponential."""
     h, tau = 2.0, 6.0

@@ -77,7 +77,7 @@ def _both(
     most: float = 1.0,
     *,
     has: Test = has_channel,
-    words: tuple[str, str] = ("sun and nadir measured: ", "sun and nadir not there: "),
+    words: tuple[str, str] = ("sun and nadir measured: ", "sun and nadir not measured: "),
 ) -> list[dict[str, Any]]:
     """The row with what more is measured, held to its reach, and beside it the one without, for comparison."""
     there = [case for case in cases if has(case)]

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from fluxtwin.plots import style
 from fluxtwin.sim.base import files
 from withheld_cases import beside, promises, score
 from withheld_cases.judged import Judged
@@ -51,13 +52,13 @@ def page(cases: Sequence[Judged], void: int, run: dict[str, Any]) -> str:
         _HEAD,
         f"This run: {made}. {len(cases)} records: {told}.{missing}",
         _contents(cases),
-        "A row of the table is met when the point estimate reaches it; the interval is Wilson's, 95 %; a row that is "
-        "`compared` has no reach.",
+        "A row is met when the point estimate reaches its target (*reach*); the interval is Wilson's, 95 %. A row that is "
+        "only *compared* has no target.",
         score.table([row for row in score.rows_of(cases) if row["of"]]),
         "## What was said of each effect",
-        f"![Confusion matrix](images/{FIGURE})",
-        "Singles, new ones, other shapes and torques. Each row is a truth, each column what came first in the answer, as a "
-        "number of records; a name whose group holds the truth counts as the truth.",
+        f"![What came first in the answer to each effect](images/{FIGURE})",
+        "Singles, new ones, other shapes and torques, by number of records. Beside a bar is what came first in place of the "
+        "effect; a name whose group holds the truth counts as the truth.",
         "## Stated probabilities",
         _reliability(cases),
         "## Outside the catalogue",
@@ -89,7 +90,7 @@ def _contents(cases: Sequence[Judged]) -> str:
         f"{median(rich):.1f} nT rms per component from the ground's model (median); it has no magnetosphere. The others, "
         "and all nulls, have the ground's own model."
         if rich
-        else "The real field is the ground's own model."
+        else "The real field is that of the model used on the ground."
     ]
     own = [case for case in cases if case.population != "sensed"]
     pointing = [case for case in own if case.sealed["regime"] == "nadir"]
@@ -113,7 +114,7 @@ _BESIDE = {
     "nulls_undeclared": "Half of `nulls_undeclared` are the scenario of the README with seeds of their own.",
     "nulls": "`nulls` goes through the regimes in turn, with everything declared: passes are arcs of ten minutes, hours "
     "apart, with a sensor noise of 2 to 6 nT, an attitude error of 0.18 to 0.27 deg that wanders over 200 to 4000 s, and S "
-    "of 1.5 to 4 %; outliers are 10 to 100 times the noise. `passes_only`, `short` and `coarse` are asked without a flag.",
+    "of 1.5 to 4 %; outliers are 10 to 100 times the noise. `passes_only`, `short` and `coarse` have nothing declared.",
     "new_singles": "`new_singles` has effects that join the table with its next edition.",
     "outside_two": "`outside_two` and `singles_two` are the first flights of `outside` and `singles` once more, with a "
     "second magnetometer of its own S, b, noise and steps: 0 to 70 % of the spacecraft's fields reach it, no fault of the "
@@ -135,38 +136,27 @@ def _reliability(cases: Sequence[Judged]) -> str:
 
 
 def _figure(confusion: dict[str, dict[str, int]], target: Path) -> None:
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot as plt
-
-    truths = sorted(confusion)
-    said = sorted({name for row in confusion.values() for name in row} | set(truths))
-    names = [name for name in said if name not in _LAST] + [name for name in _LAST if name in said]
-    share = np.array([[confusion[t].get(n, 0) / sum(confusion[t].values()) for n in names] for t in truths])
-    share = share.reshape(len(truths), len(names))
-    width = 3.2 + 0.3 * len(names)
-    figure, axes = plt.subplots(figsize=(width, 2.6 + 0.27 * len(truths)), dpi=110, layout="constrained")
-    shown = axes.imshow(100 * share, cmap="Blues", vmin=0, vmax=100, aspect="auto")
-    axes.set_xticks(range(len(names)), [_plain(n) for n in names], rotation=90, fontsize=8)
-    axes.set_yticks(range(len(truths)), [f"{_plain(t)} ({sum(confusion[t].values())})" for t in truths], fontsize=8)
-    for row, column in zip(*np.nonzero(share), strict=True):
-        value = 100 * share[row, column]
-        count, colour = confusion[truths[row]][names[column]], "white" if value > 55 else "black"
-        axes.text(column, row, str(count), ha="center", va="center", fontsize=7, color=colour)
-    axes.set_xlabel("came first in the answer (number of records)")
-    axes.set_ylabel("truth (records)")
-    axes.set_xticks(np.arange(-0.5, len(names)), minor=True)
-    axes.set_yticks(np.arange(-0.5, len(truths)), minor=True)
-    axes.grid(which="minor", color="0.9", linewidth=0.5)
-    axes.tick_params(which="minor", length=0)
-    figure.colorbar(shown, ax=axes, label="percent of the records of a truth", shrink=0.6, pad=0.01)
+    """A bar per effect: records in which it came first, and beside them what did instead."""
+    truths = sorted(confusion, reverse=True)
+    made, ((axes,),) = style.figure(style.FULL_WIDTH_IN, 1.0 + 0.2 * len(truths))
+    rows = range(len(truths))
+    right = np.array([confusion[truth].get(truth, 0) for truth in truths])
+    wrong = np.array([sum(confusion[truth].values()) for truth in truths]) - right
+    axes.barh(rows, right, color=style.BLUE, label="the effect")
+    axes.barh(rows, wrong, left=right, color=style.VERMILION, hatch="///", edgecolor="white", label="something else")
+    for row, truth in enumerate(truths):
+        others = sorted((name, count) for name, count in confusion[truth].items() if name != truth)
+        text = ", ".join(f"{_plain(name)} {count}" for name, count in others)
+        axes.annotate(text, (right[row] + wrong[row], row), (4, 0), textcoords="offset points", va="center", fontsize=8)
+    axes.set_yticks(rows, [_plain(truth) for truth in truths])
+    axes.set_ylim(-0.6, len(truths) - 0.4)
+    axes.set_xlim(0, 1.15 * max([*(right + wrong), 1]))
+    axes.grid(False, axis="y")
+    axes.xaxis.get_major_locator().set_params(integer=True)
+    style.label(axes, x="records with this one effect", title="What came first in the answer")
+    style.legend(axes, "lower right")
     target.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(target, metadata={"Software": None})
-    plt.close(figure)
-
-
-_LAST = ("unknown", "no_gap", "error")
+    made.savefig(target, dpi=140, metadata={"Software": None})
 
 
 def _plain(name: str) -> str:

@@ -257,11 +257,11 @@ def report(store: Store, names: Iterable[str]) -> tuple[str, dict[str, Any]]:
 
 def table(rows: Sequence[dict[str, Any]]) -> str:
     """Rows as Markdown."""
-    lines = ["| figure | reach | found | 95 % | of | met |", "|---|---|---|---|---|---|"]
+    lines = ["| figure | reach | found | 95 % | of | met |", "|---|--:|--:|--:|--:|---|"]
     for row in rows:
         value, inside = row["value"], row.get("interval")
-        shown = NOT_RUN if value is None else f"{value:.1%}" if inside else f"{value:.3g}"
-        span = f"{inside[0]:.1%} to {inside[1]:.1%}" if inside and value is not None else ""
+        shown = NOT_RUN if value is None else f"{100 * value:.1f} %" if inside else f"{value:.3g}"
+        span = f"{100 * inside[0]:.1f} to {100 * inside[1]:.1f} %" if inside and value is not None else ""
         met = {None: "", True: "yes", False: "no"}[row["met"]]
         lines.append(f"| {row['figure']} | {row['reach']} | {shown} | {span} | {row['of']} | {met} |")
     return "\n".join(lines)

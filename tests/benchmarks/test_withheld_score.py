@@ -315,7 +315,10 @@ def test_a_run_is_scored_again_without_a_seed_and_makes_its_page(
     assert withheld.main() == 0
     assert "| single, with a Jacobian" in capsys.readouterr().out
     page = (tmp_path / "docs" / "withheld.md").read_text(encoding="utf-8")
-    assert "The real field is the ground's own model." in page and "0 of 1 records that point to the Earth" in page
+    assert (
+        "The real field is that of the model used on the ground." in page
+        and "0 of 1 records that point to the Earth" in page
+    )
     assert "seed 5" in page and "images/withheld_confusion.png" in page
     assert (tmp_path / "docs" / "images" / "withheld_confusion.png").stat().st_size > 1000
 

@@ -15,6 +15,7 @@ from __future__ import annotations
 import argparse
 import io
 import json
+import re
 import tomllib
 from collections.abc import Sequence
 from itertools import groupby
@@ -48,8 +49,8 @@ QUIET = {
 }
 SETTINGS = {
     "gravity_gradient_inertia_error": '`acts_in` ("both"; or "torque")',
-    "time_tag_offset": '`course` ("constant"; "linear": the rate applies, from `since`, the first row, on)',
-    "along_track_error": '`course` ("constant"; "linear": the rate applies, from `since`, the first row, on)',
+    "time_tag_offset": '`course` ("constant"; "linear": the rate applies from `since`, by default the first row)',
+    "along_track_error": '`course` ("constant"; "linear": the rate applies from `since`, by default the first row)',
     "field_truncation": '`degree` (8); `truth` ("poorer"; or "richer")',
     "ring_current": "`decay_h` (0: constant) counts from the first stamp",
     "sun_sensor_head_misalignment": "`head` (0: any)",
@@ -66,14 +67,13 @@ SETTINGS = {
         "`typical_nT_per_unit` (20) is for the diagnosis only"
     ),
     "law": (
-        "`[effects.law.NAME]` (NAME is its setting `term`): a field in proportion to the product of the "
-        'factors `of`, along `axes` of the "body", "orbital", "inertial" or "earth" frame. A factor is a '
-        "recorded column (`driver_NAME`, `flag_NAME`, `temperature_degC`, ..., `dipole_x`, `wheel_1`), "
-        "`one`, `sunlit`, `sun_x`, `sun_height`, `rate_x` [deg/s], `field_x` or `field_size` [uT], with "
-        "`^2`, `^3`, `>LEVEL` behind it or `not`, `cos`, `sin`, `cos2`, `sin2` before it (of "
-        "`orbit_phase`, `local_time`, `latitude`, `longitude`, and columns that end in _deg); the "
-        "quantity of the first is taken `delay_s` before and behind a lag `lag_s`; `typical_nT_per_unit` "
-        "is for the diagnosis only"
+        "`[effects.law.NAME]`, where NAME is the setting `term`: a field in proportion to the product of the factors in "
+        '`of`, along the `axes` "body", "orbital", "inertial" or "earth". These can be factors: a recorded column '
+        "(`driver_NAME`, `flag_NAME`, `temperature_degC`, ..., `dipole_x`, `wheel_1`); `sunlit`, `sun_x`, `sun_height`; "
+        "`rate_x` [deg/s]; `field_x`, `field_size` [uT]; `one`. A factor may end in `^2`, `^3` or `>LEVEL` or begin with "
+        "`not`. `orbit_phase`, `local_time`, `latitude`, `longitude` and columns that end in _deg take `cos`, `sin`, "
+        "`cos2` or `sin2` before them. The first factor may be late by `delay_s` and have a first-order lag `lag_s`; "
+        "`typical_nT_per_unit` is for the diagnosis only"
     ),
     "heater_switching": (
         "if there is no column: `sequence`, 0 or 1 a row, or `switches_utc`, the times at which it goes "
@@ -86,31 +86,37 @@ SETTINGS = {
         "it only"
     ),
     "boom_bending": (
-        "straight at `reference_degC` (mean); if no temperature is recorded: `time_constant_s` (300) "
-        "behind sun and shadow"
+        "straight at `reference_degC` (mean); if no temperature is recorded, it follows sun and shadow with "
+        "`time_constant_s` (300)"
     ),
     "bias": "in addition to that of the instrument",
     "scale_misalignment": "in addition to that of the instrument",
     "thermal_bias_drift": "zero at `reference_degC` (mean); `time_constant_s` (900) if no temperature is recorded",
     "thermal_scale_drift": "zero at `reference_degC` (mean); `time_constant_s` (900) if no temperature is recorded",
-    "common_gain_drift": "of bias and spacecraft's field too; zero at `reference_degC` (mean); `time_constant_s` (1500) if "
-    "no temperature is recorded",
+    "common_gain_drift": (
+        "acts on bias and the spacecraft's field as well; zero at `reference_degC` (mean); `time_constant_s` (1500) if "
+        "no temperature is recorded"
+    ),
     "linear_drift": '`of` ("bias"; or "scale": the diagonal of S); zero at `since` (the first row)',
     "mounting_step": "`at` (the middle row)",
     "bias_step": "`at` (the middle row)",
     "hysteresis": (
-        '`width_nT` (4000) of the loops; `start` ("ooo") says how each axis came to the first row: `o` as'
-        " it goes on, `r` the other way, `n` neutral"
+        '`width_nT` (4000) of the loops; `start` ("ooo") says how each axis reached the first row: `o` in the'
+        " direction in which it goes on, `r` in the other, `n` neutral"
     ),
-    "quadratic_nonlinearity": "the first axis gains the product of the two others named, so large at 50,000 nT",
-    "cubic_nonlinearity": "the first axis gains the product of the three others named, so large at 50,000 nT",
+    "quadratic_nonlinearity": (
+        "the axis named first gains the product of the two that follow; the value is its size at 50,000 nT"
+    ),
+    "cubic_nonlinearity": (
+        "the axis named first gains the product of the three that follow; the value is its size at 50,000 nT"
+    ),
     "sensor_lag": '`axis` ("all"; or "x", "y", "z")',
     "excess_noise": '`axis` ("all"; or "x", "y", "z")',
     "saturation": (
         "`full_scale_nT` (the range, else the largest reading); `typical_nT` (2000) is for the diagnosis only"
     ),
     "bit_errors": (
-        '`bit` (any), `kind` ("flip"; or "stuck_0", "stuck_1"), `lsb_nT` of the code (the declared), '
+        '`bit` (any), `kind` ("flip"; or "stuck_0", "stuck_1"), `lsb_nT` of the code (as declared), '
         '`axis` ("all"; or "x", "y", "z")'
     ),
 }
@@ -214,7 +220,7 @@ def lane_nT(largest_nT: float) -> float:
 def page(alike: dict[str, dict[str, dict[str, int]]]) -> str:
     """The text of the catalogue's page."""
     effects = fluxtwin.effects()
-    lines = [HEAD.format(count=len(effects), designs="; ".join(DESIGNS), alike=ALIKE)]
+    lines = [HEAD.format(count=len(effects), designs="; ".join(DESIGNS), alike=100 * ALIKE)]
     for stage, family in groupby(effects, key=lambda effect: effect.stage):
         lines.append(f"\n## Stage: {stage}\n")
         if stage != "dynamics":
@@ -280,6 +286,7 @@ def _looks(name: str, alike: dict[str, dict[str, dict[str, int]]]) -> list[str]:
 
 
 def _escaped(text: str) -> str:
+    text = re.sub(r"\^([234])", lambda power: "²³⁴"[int(power[1]) - 2], text)
     return text.replace("|", "\\|").replace("*", "\\*").replace("_", "\\_") if "|" in text or "*" in text else text
 
 
@@ -293,7 +300,7 @@ at which the search begins, and the physical range if it has ends. Below them ar
 and the quantity that it follows.
 
 *Looks like* follows from the design alone, before any data: it is the share of an effect's signature that
-another effect can imitate, with `bias` and `scale_misalignment` fitted as well, if that share is {alike:.0%} or
+another effect can imitate, with `bias` and `scale_misalignment` fitted as well, if that share is {alike:.0f} % or
 more. It is given for one cubesat over six orbits in three designs: {designs}. Two effects that imitate each
 other by 98 % or more are named as a group. A design in which they do not look alike separates them.
 

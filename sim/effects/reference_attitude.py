@@ -88,7 +88,7 @@ class HorizonScannerBias(SignalEffect):
     follows = "latitude"
     settled_by = "a second attitude sensor beside the scanner"
     about = (
-        "reported roll and pitch are too large by sin p sin(latitude) + cos2 p cos(2 latitude), p the parameter and "
+        "reported roll and pitch are each too large by a sin(latitude) + b cos(2 latitude), a and b their two parameters, "
         "latitude geocentric: the Earth's 15-micron radiance depends on latitude and season (Wertz 1978, section 4.2; "
         "Phenneger et al. 1985: 0.05-0.2 deg); a constant part would be absorbed by S"
     )

@@ -10,6 +10,7 @@ import itertools
 
 import numpy as np
 
+from fluxtwin.calib.checks.evidence import step_nT
 from fluxtwin.calib.checks.orientation import FAR_BETTER
 from fluxtwin.calib.checks.report import Finding, note, trap
 from fluxtwin.calib.checks.sample import Sample
@@ -36,6 +37,8 @@ BIASED_MISFIT, HIGHEST_BIASED_MISFIT = 0.15, 0.3
 share of the field. A reading stretched twice or more and turned leaves 1."""
 SMALLEST_MISFIT_nT = 500.0
 """Coarse steps (440 nT) and storms alone leave this much."""
+_OFF_MIDDLE = 0.15
+"""Of half the range, that a bias may be: 50,000 nT in a range of 330,000, that of the usual chips."""
 _FIT_ROWS = 300
 _UNITS = (
     (1e-9, "tesla labelled as nT"),
@@ -53,6 +56,8 @@ _UNITS = (
 
 def check_unit(sample: Sample) -> list[Finding]:
     """The trap `magnetometer_unit`; or the note `large_bias` where a bias explains |B| as well."""
+    if counts := _offset_binary(sample):
+        return [counts]
     measured = float(np.median(np.linalg.norm(sample.mag_nT, axis=1)))
     expected = float(np.median(np.linalg.norm(sample.field_N_nT, axis=1)))
     ratio = measured / expected
@@ -65,6 +70,35 @@ def check_unit(sample: Sample) -> list[Finding]:
     impossible = " (an impossible |B|)" if measured > HIGHEST_FIELD_nT or measured < 20.0 else ""
     more = {"ratio": plain(ratio), "likely": _likely(sample, ratio), "impossible": impossible}
     return [trap("magnetometer_unit.compared", **medians, **more)]
+
+
+def _offset_binary(sample: Sample) -> Finding | None:
+    """Counts from 0 on with zero in the middle of a range of 2^n steps, on all three axes; None where they are not that.
+
+    |m - d|^2 = (f / scale)^2 is linear in the middle d, in scale^-2 and in |d|^2.
+    """
+    m, step = sample.mag_nT, step_nT(sample.mag_nT)
+    if (m < 0.0).any() or not step:
+        return None
+    size, wanted = float(m.max()), np.linalg.norm(sample.field_N_nT, axis=1)
+    square, unit = (wanted / wanted.mean()) ** 2, m / size
+    design = np.column_stack([2.0 * unit, np.ones(len(m)), square])
+    middle = np.linalg.lstsq(design, np.sum(unit**2, axis=1), rcond=1e-9)[0][:3] * size
+    if (middle <= 0.0).any():
+        return None
+    zero = step * 2.0 ** np.rint(np.log2(np.median(middle) / step))
+    off = np.linalg.norm(m - middle, axis=1)
+    scale = float(np.median(wanted) / np.median(off))
+    left = _core_rms(off * scale - wanted)
+    if (
+        size >= 2.0 * zero
+        or np.abs(middle / zero - 1.0).max() > _OFF_MIDDLE
+        or left > BIASED_MISFIT * np.median(wanted)
+    ):
+        return None
+    return trap(
+        "magnetometer_unit.offset_binary", last=f"{2.0 * zero - step:.6g}", zero=f"{zero:.6g}", scale=plain(scale)
+    )
 
 
 def blind_magnitude(telemetry: Telemetry) -> list[Finding]:

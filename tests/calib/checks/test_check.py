@@ -215,6 +215,11 @@ def no_fix(record: Telemetry) -> Telemetry:
 
 TRAPS: dict[str, tuple[Callable[[Telemetry], Telemetry], str, str]] = {
     "counts": (lambda t: times(t, 100.7), "magnetometer_unit", "counts of 0.01 nT labelled as nT"),
+    "offset binary": (
+        lambda t: t.replace(mag_B_nT=np.rint(t.mag_B_nT / 440.0) + 2048.0),
+        "magnetometer_unit",
+        "from 0 to 4095 with zero at 2048 (offset binary), about 4",
+    ),
     "milligauss": (lambda t: times(t, 1e-2), "magnetometer_unit", "milligauss labelled as nT"),
     "microtesla": (lambda t: times(t, 1e-3), "magnetometer_unit", "microtesla labelled as nT"),
     "tesla": (lambda t: times(t, 1e-9), "magnetometer_unit", "tesla labelled as nT"),

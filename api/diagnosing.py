@@ -94,7 +94,7 @@ def diagnose(
     progress: Progress = usual,
     **options: Unpack[AssumedAndReading],
 ) -> Diagnosis:
-    """Where the gap between a record and its simulation lies, which effect causes it, how far it shrinks.
+    """Where the gap between a record and its simulation lies, which effect causes it, and how much of it that closes.
 
     scenario: gives field model, starting S, b, T, the noise budget and effects that are applied as they are.
     modelled: names of the effects that are estimated anew in every test.
@@ -156,7 +156,7 @@ def close(
 ) -> tuple[Diagnosis, Scenario | None]:
     """The diagnosis with its transfers, and the scenario with the named effects in it; None when nothing was named.
 
-    Without a scenario it replays the telemetry; what was declared of the noise is then its own.
+    Without a scenario the new one replays the telemetry, with the noise that was declared.
     """
     closure = diagnosis.closure
     if closure is None or closure.empty:

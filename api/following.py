@@ -93,7 +93,7 @@ def follow(
 
     telemetry: a CSV that grows (followed until the alarm, or the first row at `end`), "-" for standard input, or records one
     after the other.
-    calibration: one to be held against the readings from the first row on; without it the first orbit gives S and b.
+    calibration: tested against the readings from the first row on; without it the first orbit gives S and b.
     modelled: as for `diagnose`. said: takes a line for each hour of telemetry.
 
     The first 600 rows or more, and an orbit, give the noise. Raises BadInput and NoAnswer as `diagnose` does.

@@ -66,13 +66,13 @@ def plan(
     progress: Progress = usual,
     **options: Unpack[AssumedAndReading],
 ) -> Plan | CalibrationPlan:
-    """What to fly next so that a diagnosis can tell what this one leaves open, with the power of each manoeuvre.
+    """What to fly next to settle what a diagnosis leaves open, with the power of each manoeuvre.
 
     telemetry: a record or its file, which is diagnosed first with the options of `fluxtwin.diagnose`; or a diagnosis, or
     the JSON of one. limits: what may be flown, as `[limits]` in a file. scenario: the spacecraft as it is flown; without
-    one its orbit, noise and housekeeping are taken from the record. names: ask about these effects alone: one is to be
-    shown at its typical size, several are to be distinguished; `["calibration"]` asks what halves the sigma of the S or b
-    known worst, by the method that `fluxtwin.calibrate` chooses.
+    one its orbit, noise and housekeeping are taken from the record. names: only these effects: one, to
+    be shown at its typical size, or several, to be distinguished; `["calibration"]` asks what halves the sigma of the least
+    known S or b, by the method that `fluxtwin.calibrate` chooses.
     Raises BadInput for limits that leave nothing to fly, NoAnswer where nothing is left open.
     """
     assumed: Any = dict(options)

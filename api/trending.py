@@ -40,8 +40,8 @@ def trend(
 ) -> Trend:
     """Does last month's calibration still hold? From calibrations, or from telemetry that is calibrated here.
 
-    every_h: telemetry is cut into stretches of so many hours, from midnight of its first day; None: a single record is cut
-    by days, of several each is one.
+    every_h: telemetry is cut into stretches of so many hours, from midnight of its first day. None cuts a single record by
+    days and takes several records as one stretch each.
 
     Raises BadInput for fewer than two, or for those that cannot be compared; NoAnswer where a stretch cannot be calibrated.
     """

@@ -307,7 +307,7 @@ def yaw(
 
 
 def effects(name: str | None = None) -> tuple[Effect, ...]:
-    """The catalogue of what reality may do that a simulation lacks, or the one effect of that name. BadInput for no such."""
+    """The catalogue of what reality may do that a simulation lacks, or the effect of a name. Raises BadInput if unknown."""
     from fluxtwin.sim.effects.catalogue import CATALOGUE, find_effect
 
     return CATALOGUE if name is None else (find_effect(name, where="effects"),)

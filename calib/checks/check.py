@@ -193,7 +193,7 @@ def _stored(mag: ColumnSpec | None) -> dict[str, Any]:
 def repair(path: Path | str, out: Path | str, *, max_samples: int | None = None) -> CheckReport:
     """Write `out` with the rows of `path` sorted by time and exact duplicates dropped; the rest is reported.
 
-    Rows without a time, and rows that give an instant a second, different content, do not belong in a record;
+    Rows without a time, and rows that repeat a time with other values, do not belong in a record;
     they are left out and named. Raises BadInput when `out` is the input, or nothing is left.
     """
     if Path(out).resolve() == Path(path).resolve():

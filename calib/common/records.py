@@ -78,9 +78,9 @@ class Calibration(Shown):
     S: FloatArray
     """(3, 3) scale, cross-talk and misalignment; a pure number."""
     b_nT: FloatArray
-    """(3,)."""
+    """(3,) bias, added to the reading [nT]."""
     T_nT_per_Am2: FloatArray | None = None
-    """(3, 3), or absent where torquers were not modelled."""
+    """(3, 3) coupling of the torquers; None where they were not modelled."""
     covariance: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
     """(P, P), P = 12 or 21 with T; order: S row by row, b, T row by row; units of the parameters."""
     covariance_kind: str = "none"
@@ -96,11 +96,13 @@ class Calibration(Shown):
     expires: np.datetime64 | None = None
     """When a drift that `calib.trend` found has made it wrong by three of its sigmas, UTC; None where none is known."""
     field_model: str = ""
+    """Model of the geomagnetic field."""
     method: str = ""
+    """The method, in words."""
     unobservable: tuple[str, ...] = ()
     """In words: what these data do not determine."""
     telemetry_bias: Mapping[str, TelemetryBias] = field(default_factory=dict)
-    """By column of telemetry: field s I in the reading that is taken out before S, b and T act. Not in `covariance`."""
+    """By column of telemetry: the field in the reading that is subtracted before S, b and T act. Not in `covariance`."""
     spacecraft: str = ""
     """Whose magnetometer it is; empty where the telemetry did not say."""
     magnetometer: int = 1
@@ -111,7 +113,7 @@ class Calibration(Shown):
     """What had been applied on board to the readings that were calibrated, and was undone: S, b and T act on the sensor's
     own. `calib.common.onboard` composes the two."""
     version: str = ""
-    """Of fluxtwin, that made it."""
+    """Version of fluxtwin that made it."""
 
     def __post_init__(self) -> None:
         size = len(self.names)
@@ -164,9 +166,9 @@ class Calibration(Shown):
     ) -> FloatArray:
         """(N, 3) estimate of the true field in body axes: (I+S) B + b + T D (journal eq. 1).
 
-        mag_B_nT, dipole_B_Am2: (N, 3), body. columns: (N,) of telemetry, by name, as by `columns_of`. Rows with
-        missing numbers come out missing. Raises BadInput when T is known but no dipole is given, or a column that
-        the reading follows is missing.
+        mag_B_nT, dipole_B_Am2: (N, 3), body. columns: (N,) columns of telemetry by name, as `columns_of` returns
+        them. Rows with missing numbers stay missing.
+        Raises BadInput when T is known but no dipole is given, or a column that the reading follows is missing.
         """
         reading = self._without_telemetry_bias(np.asarray(mag_B_nT, dtype=np.float64), columns or {})
         true = reading + reading @ self.S.T + self.b_nT
@@ -195,8 +197,7 @@ class Calibration(Shown):
         return reading_nT
 
     def columns_of(self, telemetry: Telemetry, rows: np.ndarray | slice = slice(None)) -> dict[str, FloatArray]:
-        """Columns of the telemetry by name, in these rows, those of `telemetry_bias` as late as the field that follows
-        them."""
+        """Columns of the telemetry by name, in these rows; those of `telemetry_bias` with delay and lag of their field."""
         columns = recorded_columns(telemetry)
         for name, bias in self.telemetry_bias.items():
             if (bias.delay_s or bias.lag_s) and name in columns and np.isfinite(columns[name]).any():

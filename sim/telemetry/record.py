@@ -48,7 +48,7 @@ class Telemetry(Shown):
     v_N_km_s: FloatArray | None = None
     """(N, 3) velocity, GCRS."""
     q_NB: FloatArray | None = None
-    """(N, 4) reference attitude: textbook quaternion of B relative to N, scalar last; NaN rows lack it."""
+    """(N, 4) reference attitude: textbook quaternion of B relative to N, scalar last; NaN where unknown."""
     dipole_B_Am2: FloatArray | None = None
     """(N, 3) torquer dipole."""
     sunlit: FloatArray | None = None
@@ -60,13 +60,15 @@ class Telemetry(Shown):
     drivers: Mapping[str, FloatArray] = field(default_factory=dict)
     """`driver_NAME` columns by NAME, each (N,): a current, a duty, on or off, whatever a field may follow."""
     driver_units: Mapping[str, str] = field(default_factory=dict)
-    """Units of drivers by NAME, as the user spells them; of those that have one."""
+    """Units of drivers by NAME, as the user spells them, where given."""
     array_current_A: FloatArray | None = None
+    """(N,) current of the solar array."""
     battery_current_A: FloatArray | None = None
     """(N,) positive when charging."""
     temperature_degC: FloatArray | None = None
+    """(N,) temperature of the magnetometer."""
     wheel_speed_rpm: FloatArray | None = None
-    """(N, W), one column a wheel."""
+    """(N, W), one column per wheel."""
     sun_sensor_head: FloatArray | None = None
     """(N,) number of the head that gave the reference attitude; 0 none."""
     sun_B: FloatArray | None = None
@@ -78,10 +80,11 @@ class Telemetry(Shown):
     mag2_B_nT: FloatArray | None = None
     """(N, 3) reading of a second magnetometer, in nominal body axes; see `with_magnetometer`."""
     provenance: Mapping[str, str] = field(default_factory=dict)
-    """Where the record comes from: source file and SHA-256, or the generator; column notes. No truth.
+    """Where the record comes from: source file and SHA-256, or the generator, and notes about columns; never the truth.
 
-    `spacecraft` is its name; `calibration` is there once a calibration has corrected the readings, and says which;
-    `calibration_2` likewise of the second magnetometer; `magnetometer` is 2 where that one is in the first one's place.
+    `spacecraft` is the name of the spacecraft. `calibration` names the calibration that has corrected the readings, if any,
+    and `calibration_2` that of the second magnetometer. `magnetometer` is 2 where the second has
+    taken the place of the first.
     """
 
     def __post_init__(self) -> None:

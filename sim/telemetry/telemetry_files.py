@@ -71,7 +71,7 @@ def read_telemetry(
     column_map: TOML that says which columns hold what, in which units and frames; or "preset:NAME".
     tle: two-line elements or a CCSDS OEM: positions where the file has none.
     attitude: a CCSDS AEM: attitudes where the file has none.
-    max_samples: most rows that are read; None for 5,000,000.
+    max_samples: the largest number of rows to read; None for 5,000,000.
     start, end, where: rows from `start` to before `end` in which the condition holds, as `sunlit == 1`.
     magnetometer: 2 puts the readings of the second one in the place of the first one's.
 
@@ -138,7 +138,7 @@ def read_table(path: Path | str | Table, *, max_samples: int = MAX_SAMPLES, othe
 
 
 def write_telemetry(telemetry: Telemetry, path: Path | str) -> Path:
-    """Write the record to `path`, in the format that its name ends in, atomically; CSV to a device or pipe. The path.
+    """Write the record to `path`, in the format of its ending, atomically; CSV to a device or pipe. Returns the path.
 
     Each magnetometer's readings go into its own columns.
     """

@@ -60,8 +60,8 @@ def fly_ensemble(
     seed: of the draws and of all that is random; the scenario's own where not given. jobs: processes, all cores where not
     given. in_chunk: vehicles that are held in memory and written at a time, and the step of the progress. resume: go on
     with what is in the folder, if it is the same ensemble. scheduler: the address of a Dask scheduler whose workers fly the
-    chunks. executor: any of `concurrent.futures`' kind that does so; chunks come back and are written here.
-    Raises BadInput for a scenario or a vehicle that cannot be, for a folder with another ensemble, and NoAnswer where
+    chunks. executor: one like those of `concurrent.futures` that flies them; the chunks are written here.
+    Raises BadInput for an impossible scenario or vehicle, or a folder with another ensemble, and NoAnswer where
     every vehicle was lost.
     """
     plan_of = load_scenario(scenario) if isinstance(scenario, Path | str) else scenario

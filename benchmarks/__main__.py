@@ -224,7 +224,7 @@ def follow(asked: Asked) -> Iterator[Line]:
     why = "fifteen states and 108 changes a row, compiled"
     yield Line("diagnose --follow, a row of a thousand", f"{used:.0f} us", "1,000 us", used <= 1000.0, why)
     alone = record["us_a_row_alone"]
-    why = "the reader of files, once a row, 1 ms; orbit's frame and field 0.3 ms"
+    why = "the reader of files, once a row, and the orbit's frame and field, a third each"
     yield Line("diagnose --follow, a row alone", f"{alone:,.0f} us", "1,000 us", alone <= 1000.0, why)
 
 

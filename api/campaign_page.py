@@ -39,6 +39,7 @@ def sentences(summary: dict[str, Any]) -> list[str]:
         said.append(
             f"The errors of the calibration {'agree' if 0.85 <= nees <= 1.2 else 'do not agree'} with its sigmas: their "
             f"squares, weighted with the full covariance, are {plain(nees, 2)} times what is stated (1 is right)."
+            + (" Effects in the runs, which no calibration models, add to them." if summary["effects"] else "")
         )
     for what, key in (("lost", "lost"), ("not calibrated", "not_calibrated"), ("not diagnosed", "not_diagnosed")):
         for reason, count in list(summary[key].items())[:3]:

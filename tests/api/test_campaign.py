@@ -35,6 +35,7 @@ def test_a_campaign_and_its_page(cli: Cli, tmp_path: Path) -> None:
     done = cli(*words)
     assert done.status == 0, done.err
     assert "time_tag_offset was named in" in done.out and "of 5 runs" in done.out
+    assert "Effects in the runs, which no calibration models, add to them." in " ".join(done.out.split())
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert "How often an effect is named" in page or "<img" in page
     rows = list(csv.DictReader((tmp_path / "out" / "runs.csv").read_text(encoding="utf-8").splitlines()))

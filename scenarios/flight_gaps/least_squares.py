@@ -18,6 +18,7 @@ from fluxtwin.scenarios.flights import Numbers, rms
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth.field_models import FieldModel
 from fluxtwin.sim.effects.base import SignalEffect
+from fluxtwin.sim.effects.catalogue import find_effect
 from fluxtwin.sim.effects.chain import jacobian
 from fluxtwin.sim.telemetry.record import Telemetry
 
@@ -35,6 +36,12 @@ class Share:
     """rms per component."""
     sizes: tuple[float, ...]
     """The fitted value of each effect with one parameter, else its largest, in units of that parameter."""
+
+    def in_words(self, digits: int = 3) -> str:
+        """The values with their units."""
+        units = [find_effect(name).parameters[0].unit for name, _ in zip(self.effects, self.sizes, strict=False)]
+        values = (f"{size:.{digits}g}" for size in self.sizes)
+        return ", ".join(v if u == "1" else f"{v} {u}" for v, u in zip(values, units, strict=True))
 
 
 @dataclass(frozen=True)

@@ -134,9 +134,7 @@ def _magsat_rows(outcome: Outcome) -> list[list[Cell]]:
     rows: list[list[Cell]] = []
     for name, table in outcome.magsat.items():
         rows.append([name, "b and S", round(table.base_nT, 1), ""])
-        for share in table.shares:
-            sizes = ", ".join(f"{size:.3g}" for size in share.sizes)
-            rows.append(["", " + ".join(share.effects), round(share.left_nT, 1), sizes])
+        rows += [["", " + ".join(one.effects), round(one.left_nT, 1), one.in_words()] for one in table.shares]
     return rows
 
 

@@ -17,7 +17,7 @@ from fluxtwin.gap.detectors.full_rate import full_rate
 from fluxtwin.gap.detectors.noise_level import floor_noise, stochastic_nT
 from fluxtwin.gap.detectors.proposals import in_the_readings
 from fluxtwin.gap.detectors.random_walk import worth_of_a_walk
-from fluxtwin.gap.detectors.residual_structure import judge, residual_structure
+from fluxtwin.gap.detectors.residual_structure import Structure, judge, residual_structure
 from fluxtwin.gap.held_out.held_out import Fitted, Prediction, floor_rms_nT, one_step, predict_blocks
 from fluxtwin.gap.hypotheses.blocks import blocks
 from fluxtwin.gap.hypotheses.candidates import candidates
@@ -248,8 +248,15 @@ def investigate(
         momentum=balanced(problem, craft, answer.whitener, result, answer.fitted_nT),
         attitude_would_do_rad=attitude_would_do_rad,
         apart=between,
-        differ=None if other is None else judge(problem, *other),
+        differ=None if other is None else _differ(problem, *other),
     )
+
+
+def _differ(problem: Problem, left: ProjectedResidual, fits: Sequence[BlockFit]) -> Structure:
+    """What two magnetometers have apart: whether, by what is left as a whole; what it looks like, by the noise that they
+    have, as a large step makes all that is left look large."""
+    found = judge(problem, left, fits)
+    return judge(problem, left, fits, variance=1.0) if found.structured else found
 
 
 def _minimum_detectable(problem: Problem, answer: Answer) -> dict[str, Detectable]:

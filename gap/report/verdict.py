@@ -229,7 +229,8 @@ def _differ(work: Work) -> str:
     """What two magnetometers have apart, where nothing that was said explains it."""
     if work.apart is None or work.differ is None or not work.differ.structured:
         return ""
-    return f" {words.differ(work.differ, work.apart.rms_nT, work.apart.noise_nT)}"
+    other = 3 - work.problem.telemetry.magnetometer
+    return f" {words.differ(work.differ, work.apart.rms_nT, work.apart.noise_nT, other)}"
 
 
 def _closure(work: Work, found: _Conclusion) -> Closure:

@@ -43,7 +43,7 @@ def no_gap(gap: Shrinkage, attitude_would_do_rad: float | None) -> str:
     )
 
 
-def differ(between: Structure, rms_nT: float, noise_nT: float) -> str:
+def differ(between: Structure, rms_nT: float, noise_nT: float, other: int) -> str:
     """Where the one magnetometer's gap, if it has one, does not say why the other reads something else."""
     noise = (
         f"where their noise explains {noise_nT:.1f} nT"
@@ -52,7 +52,7 @@ def differ(between: Structure, rms_nT: float, noise_nT: float) -> str:
     )
     return (
         f"The two magnetometers differ by {rms_nT:.1f} nT rms per component even after each is calibrated, {noise}:"
-        f" {between.words}. To diagnose the second one, add --magnetometer 2."
+        f" {between.words}. To diagnose the other one, add --magnetometer {other}."
     )
 
 

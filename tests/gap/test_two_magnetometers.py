@@ -121,6 +121,19 @@ def test_a_step_that_both_have_is_not_the_sensor_s(monkeypatch: pytest.MonkeyPat
     assert places and not any("sensor" in (place.stage, *place.equivalent) for place in places)
 
 
+@pytest.mark.parametrize("number", [1, 2])
+def test_a_step_that_the_other_alone_has_is_called_a_step(number: int) -> None:
+    """At the middle row of 451, to a row: 225 rows of 40 s."""
+    good = flown()
+    step_nT = np.where(np.arange(len(good))[:, None] < 225, 0.0, [150.0, -100.0, 80.0])
+    name = {1: "mag2_B_nT", 2: "mag_B_nT"}[number]
+    stepped = good.replace(**{name: getattr(good, name) + step_nT})
+    found = fluxtwin.diagnose(stepped, magnetometer=number)
+    assert found.verdict == "no_gap"
+    assert "a step 9000 s after the first sample" in found.sentence
+    assert f"To diagnose the other one, add --magnetometer {3 - number}." in found.sentence
+
+
 def test_two_good_magnetometers_differ_by_the_noise_of_both() -> None:
     good = flown()
     found = fluxtwin.diagnose(good)

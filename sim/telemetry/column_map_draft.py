@@ -96,7 +96,7 @@ _ELSEWHERE = re.compile(r"igrf|wmm|model|pred|expect|eci|j2000|gcr[sf]|inertial|
 _NO_STATE = re.compile(r"(^|_)(ref|err|error|bias|innov|tgt|target|std)(_|$)|std_dev|sigma|desired")
 """Of numbers about a quantity that are not the quantity."""
 _ATTITUDE = re.compile(r"q|att|eul|(^|_)(eps|beta)|orient", re.IGNORECASE)
-"""Of four columns that are a quaternion if they have the norm 1."""
+"""Of four columns, or their file, that are a quaternion if they have the norm 1."""
 _IN_BODY = ("mag", "rate", "dipole", "sun", "nadir")
 _WHEEL = re.compile(r"^(?!.*(curr|torq|temp|duty|cmd|volt)).*(wheel|(^|_)rwa?_?\d)")
 _GOOD = re.compile(r"valid|good|usable|(^|_)(ok|qual(ity)?)(_|$)", re.IGNORECASE)
@@ -439,7 +439,9 @@ def _place(header: Header, free: list[str]) -> list[_Found]:
     frame = "geocentric" if "radius" in found[2].lower() else "geodetic"
     unit = "m" if size > 1e5 else "km"
     doubts = [f"position: {frame} (geodetic: latitude and altitude above WGS 84; geocentric: radius) in {unit}"]
-    return [("position", found, {"unit": unit, "frame": frame}, doubts)]
+    fill = [value for value in _FILLS if _stands_out(_stacked(header, found), value)]
+    doubts += [f"position: that {', '.join(map(repr, fill))} means missing"] if fill else []
+    return [("position", found, {"unit": unit, "frame": frame} | ({"fill": fill} if fill else {}), doubts)]
 
 
 def _triples(header: Header, free: list[str]) -> list[list[str]]:
@@ -462,7 +464,8 @@ def _quaternion(header: Header, free: list[str]) -> _Found | None:
         for place in [m.start() for m in re.finditer(re.escape(ends[0]), name.lower())]:
             others = [f"{name.lower()[:place]}{end}{name.lower()[place + 1 :]}" for end in ends]
             columns = [known[o] for o in others if o in known]
-            if len(columns) == 4 and _ATTITUDE.search(name) and _is_unit(header, columns):
+            said = _ATTITUDE.search(f"{header.sheet or header.path.stem} {name}") or len(name) == 1
+            if len(columns) == 4 and said and _is_unit(header, columns):
                 return _attitude(columns, order, guess)
     for name in free:
         if header.values.get(name, np.empty(0)).shape[1:] == (4,) and _is_unit(header, [name]):

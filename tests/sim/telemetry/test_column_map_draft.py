@@ -425,6 +425,22 @@ def test_fill_values_are_guessed(tmp_path: Path) -> None:
     assert list(np.flatnonzero(~read_telemetry(tmp_path / "a.csv", column_map=tmp_path / "m.toml").has_reading)) == [3]
 
 
+def test_bare_names_of_a_unit_norm_are_a_quaternion_and_a_place_has_fill_values(tmp_path: Path) -> None:
+    place = np.column_stack([np.linspace(-70.0, 70.0, 200), np.linspace(0.0, 50.0, 200), np.full(200, 5.5e5)])
+    place[7] = [-9999.0, 3.0, 5.5e5]
+    columns = {
+        "t": UNIX,
+        **triple("bx by bz", MAG),
+        **triple("w x y z", Q[:, [3, 0, 1, 2]]),
+        **triple("lat lon alt", place),
+    }
+    text = draft([table(tmp_path / "data.csv", columns)])
+    assert 'attitude = { from = ["w", "x", "y", "z"], order = "wxyz"' in text
+    assert 'frame = "geodetic", fill = [-9999.0] }' in text
+    columns["w"] = 2.0 * columns["w"]
+    assert "attitude = { from" not in draft([table(tmp_path / "data.csv", columns)])
+
+
 def test_a_number_that_only_looks_like_a_fill_value_is_none(tmp_path: Path) -> None:
     counts = np.round(MAG / 10.0)
     counts[5, 0] = -999.0

@@ -72,21 +72,21 @@ def field(asked: Asked) -> Iterator[Line]:
     for rival, wanted in (("chaosmagpy", 73.0), ("ppigrf", 242.0)):
         if rival in rows:
             ratio = rows[rival]["fluxtwin_is_faster_by"]
-            how = "eight points (four without AVX-512) stay in registers to the end; the rival makes arrays for each degree"
+            how = "eight points (four without AVX-512) stay in registers; the other library makes arrays for each degree"
             yield Line(
                 f"field, {points:,} points, against {rival}", f"{ratio:.3g} x", f"{wanted:g} x", ratio >= wanted, how
             )
         else:
             yield Line(f"field against {rival}", "not run", f"{wanted:g} x", None, record["skipped"][rival])
-    why = "the same sums in the same registers; positions are checked first, and the answer is made of zeros"
+    why = "the same sums in the same registers; positions are checked first, and the output starts as zeros"
     if "C" in rows:
         share = rows["C"]["fluxtwin_is_faster_by"]
-        yield Line("field against C (gcc -O3 -march=native)", f"{share:.2f} of its rate", "0.6", share >= 0.6, why)
+        yield Line("field against C (`gcc -O3 -march=native`)", f"{share:.2f} of its rate", "0.6", share >= 0.6, why)
     else:
-        yield Line("field against C (gcc -O3 -march=native)", "not run", "0.6", None, record["skipped"]["C"])
+        yield Line("field against C (`gcc -O3 -march=native`)", "not run", "0.6", None, record["skipped"]["C"])
     share = record["per_sample_over_one_epoch_rate"]
     why = "each point has coefficients of its own: six more products a harmonic"
-    yield Line("field, an epoch each", f"{share:.2f} of the rate of one epoch", "0.5", share >= 0.5, why)
+    yield Line("field, each point at its own epoch", f"{share:.2f} of the rate of one epoch", "0.5", share >= 0.5, why)
 
 
 def step(asked: Asked) -> Iterator[Line]:
@@ -95,7 +95,9 @@ def step(asked: Asked) -> Iterator[Line]:
     record = asked.script("attitude", *words)
     parts = record["parts_s"]
     whole = sum(parts.values())
-    most = ", ".join(f"{name} {seconds / whole:.0%}" for name, seconds in sorted(parts.items(), key=lambda p: -p[1]))
+    most = ", ".join(
+        f"{name} {100 * seconds / whole:.0f} %" for name, seconds in sorted(parts.items(), key=lambda p: -p[1])
+    )
     if "ratio_vs_basilisk" in record:
         ratio = record["ratio_vs_basilisk"]
         most += f"; orbit and field at each step, as Basilisk, {record['each_step_ratio_vs_basilisk']:.3g} x"
@@ -118,7 +120,7 @@ def ensembles(asked: Asked) -> Iterator[Line]:
         gain = record["cpu_s_of_one_more_vehicle"] / way
         whole = (record["cpu_s_once"] + thousand) / (once + 1000.0 * way)
         why = f"tables before and after, one process; each takes {once:.1f} s to start, so {whole:.2f} x for 1,000"
-        name = f"ensemble: {record['cores']} processes on a core each, a vehicle more"
+        name = f"ensemble: {record['cores']} processes with a core each, per additional vehicle"
         yield Line(name, f"{gain:.2f} x one", "1.9 x", gain >= 1.9, why)
 
 

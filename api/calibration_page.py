@@ -32,7 +32,7 @@ def calibration_page(fit: Fit, title: str, *, next_step: str, record: Telemetry,
     """
     verdict = fit.verdict
     lines = () if verdict is None else verdict.lines
-    unseen = list(fit.observability) or ["These data determine all requested parameters."]
+    unseen = [_sentence(one) for one in fit.observability] or ["These data determine all requested parameters."]
     written = {} if refused else {"calibration.toml": calibration_text(fit.calibration)}
     return Page(
         title=title,
@@ -50,7 +50,7 @@ def calibration_page(fit: Fit, title: str, *, next_step: str, record: Telemetry,
             PageSection("Parameters", [], parameter_tables(fit.calibration)),
             *_followed(fit, record),
             PageSection("What these data do not determine", unseen, correlation_tables(fit)),
-            PageSection("How it was made", [f"{message[:1].upper()}{message[1:]}." for message in fit.messages]),
+            PageSection("How it was made", [_sentence(message) for message in fit.messages]),
         ],
         provenance={key: value for key, value in _provenance(fit).items() if not (refused and "SHA-256" in key)},
         downloads={name: sealed(text, "#", f"format {FORMAT}") for name, text in written.items()},
@@ -64,13 +64,11 @@ def _seen(fit: Fit, record: Telemetry) -> list[PageSection]:
     rows = record.select(fit.rows)
     here = for_record(fit.calibration, rows)
     corrected = here.apply(rows.mag_B_nT, rows.dipole_B_Am2, here.columns_of(record, fit.rows))
-    if fit.residuals_nT.shape[1] == 3:
-        predicted = corrected + fit.residuals_nT
-        before = predicted - rows.mag_B_nT
-    else:
-        size = [np.linalg.norm(field, axis=1, keepdims=True) for field in (corrected, rows.mag_B_nT)]
-        predicted = size[0] - fit.residuals_nT
-        before = size[1] - predicted
+    reading = rows.mag_B_nT
+    if fit.residuals_nT.shape[1] != 3:
+        corrected, reading = (np.linalg.norm(field, axis=1, keepdims=True) for field in (corrected, reading))
+    predicted = corrected - _reading_minus_model(fit)
+    before = reading - predicted
     aside = ~kept_rows(fit.weights)
     words = "Measured: the readings as received. Predicted: the model field, rotated by the attitude if there is one."
     return [
@@ -79,11 +77,20 @@ def _seen(fit: Fit, record: Telemetry) -> list[PageSection]:
     ]
 
 
+def _reading_minus_model(fit: Fit) -> FloatArray:
+    """(N, K) residuals with the sign of a diagnosis, so that they rise with a column as the field in the reading does."""
+    return -fit.residuals_nT if fit.residuals_nT.shape[1] == 3 else fit.residuals_nT
+
+
+def _sentence(words: str) -> str:
+    return f"{words[:1].upper()}{words[1:]}."
+
+
 def _followed(fit: Fit, record: Telemetry) -> list[PageSection]:
     """The residual against what it may follow."""
     from fluxtwin.evidence import driver_blocks
 
-    left = np.where(kept_rows(fit.weights)[:, None], fit.residuals_nT, np.nan)
+    left = np.where(kept_rows(fit.weights)[:, None], _reading_minus_model(fit), np.nan)
     blocks = driver_blocks(record.select(fit.rows), {"residual": left})
     return [PageSection("What the residual follows", [], [], blocks)] if blocks else []
 
@@ -133,7 +140,9 @@ def correlation_tables(fit: Fit) -> list[Table]:
     """The worst five of the correlated pairs; nothing where there are none."""
     pairs = () if fit.verdict is None else fit.verdict.correlated
     rows = [[f"{one}, {other}", f"{value:+.3f}"] for one, other, value in pairs]
-    return [Table("The five most correlated pairs of parameters", ["pair", "correlation"], rows)] if rows else []
+    return (
+        [Table("The most correlated pairs of parameters, at most five", ["pair", "correlation"], rows)] if rows else []
+    )
 
 
 def residual_series(fit: Fit, before_nT: FloatArray | None = None) -> TimeSeries:
@@ -143,16 +152,15 @@ def residual_series(fit: Fit, before_nT: FloatArray | None = None) -> TimeSeries
     aside = ~kept_rows(fit.weights)
     names = "xyz" if fit.residuals_nT.shape[1] == 3 else ("|B|",)
     title = "Residuals of the calibration" + (f"; {int(aside.sum())} rows set aside" if aside.any() else "")
-    return TimeSeries(title, fit.time, residual_panels(fit.residuals_nT, names, aside, before_nT=before_nT))
+    return TimeSeries(title, fit.time, residual_panels(_reading_minus_model(fit), names, aside, before_nT=before_nT))
 
 
 def _residual_block(fit: Fit, before_nT: FloatArray) -> FigureBlock:
-    of = (
-        "model minus calibrated reading"
-        if fit.residuals_nT.shape[1] == 3
-        else "calibrated reading minus model, in size"
+    of = "in body axes" if fit.residuals_nT.shape[1] == 3 else "in size"
+    caption = (
+        f"Residuals of {len(fit.time)} rows: calibrated reading minus model, {of}. The first panel has those of the "
+        "readings as received."
     )
-    caption = f"Residuals of {len(fit.time)} rows, {of}. The first panel has the residuals of the readings as received."
     if not kept_rows(fit.weights).all():
         caption += " Crosses: rows set aside as outliers. Arrows at the edge: values beyond it."
     return FigureBlock("residuals", caption, residual_series(fit, before_nT))
@@ -222,7 +230,7 @@ def _angles(fit: Fit) -> Table:
 
 def _residuals(fit: Fit) -> Table:
     names = "xyz" if fit.residuals_nT.shape[1] == 3 else ["|B|"]
-    kept = fit.residuals_nT[kept_rows(fit.weights)]
+    kept = _reading_minus_model(fit)[kept_rows(fit.weights)]
     rows = [
         [name, plain(float(series.mean())), plain(float((series**2).mean() ** 0.5)), plain(float(abs(series).max()))]
         for name, series in zip(names, kept.T, strict=True)

@@ -61,5 +61,6 @@ def _columns(record: Telemetry) -> dict[str, FloatArray]:
         stems = quantity.stems if len(parts) == len(quantity.stems) else [f"wheel_{k + 1}" for k in range(len(parts))]
         found |= {f"{stem} [{unit.replace('_', '/') or 1}]": part for stem, part in zip(stems, parts, strict=True)}
     for family in FAMILIES:
-        found |= {family.prefix + name: values for name, values in getattr(record, family.field).items()}
+        unit = "1" if family.binary else "unit"  # of the user's column, whose unit no file has
+        found |= {f"{family.prefix}{name} [{unit}]": of for name, of in getattr(record, family.field).items()}
     return {name: np.asarray(values, dtype=np.float64) for name, values in found.items()}

@@ -108,6 +108,14 @@ def _whole(text: str) -> str:
     return "".join(parts)
 
 
+def _titles(text: str) -> list[str]:
+    """What the effects are that a cell names and nothing else; none for any other text."""
+    from fluxtwin.sim.effects.catalogue import title_of
+
+    found = [title_of(name) for name in re.split(r", | / ", text.removesuffix(" (named)"))]
+    return found if all(found) else []
+
+
 def _download(text: str) -> str:
     return "data:application/octet-stream;base64," + base64.b64encode(text.encode("utf-8")).decode("ascii")
 
@@ -126,7 +134,8 @@ def _parts() -> tuple[Template, str, str]:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    filters: dict[str, Any] = {"shown": shown, "clean": clean, "whole": _whole, "drawn": _shown, "download": _download}
+    filters: dict[str, Any] = {"shown": shown, "clean": clean, "whole": _whole, "titles": _titles, "drawn": _shown}
+    filters["download"] = _download
     environment.filters.update(filters)
     environment.tests["numeric"] = is_number
     style, script = ((files("fluxtwin") / "templates" / f"report.{end}").read_text("utf-8") for end in ("css", "js"))

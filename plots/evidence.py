@@ -94,6 +94,7 @@ def draw_field_coverage(record: FieldCoverage, *, title: str) -> Figure:
     )
     quarter = np.pi / 2
     sides = {"+x": (0.0, 0.0), "+y": (quarter, 0.0), "-y": (-quarter, 0.0), "+z": (0.0, 1.45), "-z": (0.0, -1.45)}
+    sides |= {"-x": (0.95 * np.pi, 0.0)}
     rim = [withStroke(linewidth=2.5, foreground="white")]  # readable on a dot of any colour
     for name, place in sides.items():
         axes.annotate(
@@ -101,6 +102,7 @@ def draw_field_coverage(record: FieldCoverage, *, title: str) -> Figure:
         )
     axes.set_xticklabels([])
     axes.set_yticklabels([])
+    axes.set_axisbelow(True)
     axes.grid(alpha=0.3)
     bar = figure.colorbar(dots, ax=axes, shrink=0.7, ticks=range(int(np.log10(max(record.counts.max(), 1))) + 1))
     bar.ax.set_yticklabels([f"{10 ** int(tick)}" for tick in bar.get_ticks()])

@@ -22,14 +22,16 @@
     const canvas = make("canvas", element), readout = make("div", element, "readout"), tools = make("div", element, "tools");
     canvas.setAttribute("role", "img");
     canvas.setAttribute("aria-label", element.querySelector("img").alt);
-    const words = make("code", tools);
+    const words = make("code", tools), from = make("span", words, "whole");
+    words.append(" ");
+    const to = make("span", words, "whole");
     const button = (name, act) => { const b = make("button", tools); b.type = "button"; b.textContent = name; b.onclick = act; };
     button("copy", () => copy(words));
     button("whole record", () => zoom(whole));
     element.insertBefore(canvas, element.firstChild);
     canvas.after(readout, tools);
     element.classList.add("live");
-    const one = { element, canvas, readout, words, t, rows: data.rows, knots: data.knots, panels: data.panels };
+    const one = { element, canvas, readout, from, to, t, rows: data.rows, knots: data.knots, panels: data.panels };
     canvas.addEventListener("pointerdown", (e) => { grabbed = at(one, e); canvas.setPointerCapture(e.pointerId); });
     canvas.addEventListener("pointermove", (e) => { cursor = at(one, e); later(); });
     canvas.addEventListener("pointerleave", () => { cursor = null; later(); });
@@ -120,7 +122,7 @@
       const top = TOP + index * (tall + GAP), [low, high] = extent(panel), y = (v) => top + (tall * (high - v)) / (high - low);
       c.textBaseline = "middle";
       c.lineWidth = 1;
-      const [marks, digits] = ticks(low, high, 4);
+      const [marks, digits] = ticks(low, high, 5);
       const rule = (x0, y0, x1, y1) => { c.strokeStyle = PALE; c.beginPath(); c.moveTo(x0, y0); c.lineTo(x1, y1); c.stroke(); };
       c.fillStyle = INK;
       c.textAlign = "right";
@@ -149,8 +151,10 @@
       if (cursor !== null) { c.setLineDash([3, 3]); c.beginPath(); c.moveTo(x(cursor), top); c.lineTo(x(cursor), top + tall); c.stroke(); c.setLineDash([]); }
       if (grabbed !== null && cursor !== null) { c.fillStyle = "rgba(0,114,178,.15)"; c.fillRect(x(grabbed), top, x(cursor) - x(grabbed), tall); }
     });
-    const brief = (ms, round) => (span < 6e4 ? iso(ms) : iso(1e3 * round(ms / 1e3)).replace(".000", ""));
-    one.words.textContent = `--from ${brief(shown[0], Math.floor)} --to ${brief(shown[1], Math.ceil)}`;
+    const unit = span < 6e4 ? 1 : 1e3; // --to is the first instant beyond the window, so that its last row is in it
+    const brief = (ms) => iso(unit * Math.floor(ms / unit)).replace(".000", "");
+    one.from.textContent = `--from ${brief(shown[0])}`;
+    one.to.textContent = `--to ${brief(shown[1] + unit)}`;
     read(one);
   }
 

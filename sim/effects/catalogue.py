@@ -69,6 +69,11 @@ CATALOGUE: tuple[Effect, ...] = (
 """Every effect with its default settings, in stage order."""
 
 
+def title_of(name: str) -> str:
+    """What the effect called `name` is, for a person; empty for a name that is not in the catalogue."""
+    return next((effect.title for effect in CATALOGUE if effect.family == name.partition(".")[0]), "")
+
+
 def find_effect(name: str, *, where: str = "effects") -> Effect:
     """The effect called `name`, as `bias` or `driver.payload`; raises BadInput that names the nearest one."""
     kind, _, key = name.partition(".")

@@ -157,7 +157,9 @@ class _Search:
             choice, whitener = again, whitener_of(self.problem, again.noise, again.robust.weights)
             fit, alike = self._fitted(whitener)
         if fit is None:
-            return Lawful(self._none(whitener, "no term lowers chi-square by more than so many terms would by chance"))
+            return Lawful(
+                self._none(whitener, "no term lowers chi-square by more than the best of so many would by chance")
+            )
         return self._lawful(fit, choice, whitener, alike)
 
     def _fitted(self, whitener: Whitener) -> tuple[Fit | None, list[LawEffect]]:

@@ -107,7 +107,7 @@ def term(one: LawTerm) -> str:
     plain = [factor(text) for number, text in enumerate(one.of) if number == 0 or gate(text) is None]
     late = [f"{one.delay_s:.3g} s late"] if one.delay_s else []
     late += [f"behind a lag of {one.lag_s:.3g} s"] if one.lag_s else []
-    return ", ".join([f"{size}{frame}", " times ".join(plain), *late, *gates])
+    return ", ".join([f"{size}{frame}, times {' times '.join(plain)}", *late, *gates])
 
 
 def made_of(terms: Sequence[LawTerm]) -> str:

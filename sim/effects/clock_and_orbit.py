@@ -70,7 +70,7 @@ class TimeTagOffset(Drifting):
 
     name = "time_tag_offset"
     stage = "time"
-    settled_by = "a spin of 2 rpm (milliseconds show), or a slow tumble of 0.25 deg/s"
+    settled_by = "a spin of 2 rpm, which shows milliseconds, or a slow tumble of 0.25 deg/s"
     about = (
         "sampled this much later than the stamp and, with course = linear, later by this much more each day "
         "(DMSP, Alken et al. 2014; GRACE-FO, Stolle et al. 2021; a quartz of 20 ppm drifts by 1.7 s a day)"

@@ -17,7 +17,8 @@ from fluxtwin.gap.report.advice import typical_size
 from fluxtwin.gap.report.words import APART_FROM_THEM, FIRST
 from fluxtwin.scenarios.page import FigureBlock, Page, PageSection, Table
 from fluxtwin.sim.base.files import to_json
-from fluxtwin.sim.effects.catalogue import CATALOGUE
+from fluxtwin.sim.base.types import BoolArray, FloatArray
+from fluxtwin.sim.effects.catalogue import title_of
 from fluxtwin.sim.telemetry.record import Telemetry
 
 _CONFUSED = 0.8  # shares below this are in the JSON
@@ -31,21 +32,45 @@ _FACTS = {
     "noise": "noise model",
 }
 """What the page calls a fact of the provenance, where its own name does not say it."""
+_IN_WORDS = {"stage": "at stage ", "axis": "on ", "frame": "fixed in ", "condition": "depending on "}
+"""By kind of place, what comes before its names in a sentence."""
+_PLACES = {
+    "x": "the x axis",
+    "y": "the y axis",
+    "z": "the z axis",
+    "all": "all axes",
+    "body": "body axes",
+    "orbital": "orbital axes",
+    "inertial": "inertial axes",
+    "earth": "Earth-fixed axes",
+    "sunlit": "sunlight",
+    "torquer": "the torquers",
+    "current": "the current",
+    "orbit_phase": "the phase of the orbit",
+    "field_strength": "the strength of the field",
+    "rate": "the body rate",
+    "after_time": "whether an instant has passed",
+    "head": "the head of the sun sensor",
+    "region": "the region",
+}
+"""Names of places that are no words of a sentence."""
 PLAN = "To find out, run fluxtwin plan on the same file: it proposes what to fly."
 CORRECT = "fluxtwin apply --scenario CLOSED.toml corrects the readings with the named effects taken out"
 """What to do with a closed scenario."""
 _ALL_TESTED = "Every effect of the catalogue could be tested."
 
 
-def diagnosis_page(diagnosis: Diagnosis, title: str, *, record: Telemetry | None = None) -> Page:
-    """The page of one diagnosis; record: the telemetry that was diagnosed."""
+def diagnosis_page(
+    diagnosis: Diagnosis, title: str, *, record: Telemetry | None = None, source: str = "TELEMETRY"
+) -> Page:
+    """The page of one diagnosis; record: the telemetry that was diagnosed; source: what names and reads it in a command."""
     far = _far(diagnosis, record)
     seen = [one for one in far.figures if one.name in ("field", "gap_series")]
     as_it_stands = [PageSection("The residual of the file as it stands", [], [], seen)]
     return Page(
         title=title,
         verdict=_sentences(diagnosis)[0],
-        next_step=_next_step(diagnosis),
+        next_step=_next_step(diagnosis, source),
         sections=[*_rest(diagnosis), *(as_it_stands if _wrong_file(diagnosis) else _found(diagnosis, record, far))],
         provenance=_provenance(diagnosis),
         downloads={"diagnosis.json": to_json(diagnosis.to_dict())},
@@ -59,8 +84,8 @@ def _found(diagnosis: Diagnosis, record: Telemetry | None, far: PageSection) -> 
     confused = confused_table(diagnosis)
     could = [detectable_table(diagnosis), confused] if confused.rows else [detectable_table(diagnosis)]
     return [
-        *_parameters(diagnosis),
         far,
+        *_parameters(diagnosis),
         _where(diagnosis),
         _which(diagnosis),
         *_law(diagnosis),
@@ -107,7 +132,7 @@ def _rest(diagnosis: Diagnosis) -> list[PageSection]:
     """What the answer says beyond its first sentence, and no later section says again."""
     law = "" if diagnosis.law is None else diagnosis.law.sentence
     rest = [one for one in _sentences(diagnosis)[1:] if one not in law and not one.startswith("It resembles ")]
-    rest += second_lines(diagnosis)
+    rest = [*what_lines(diagnosis), *rest, *second_lines(diagnosis)]
     return [PageSection("What it means", rest)] if rest else []
 
 
@@ -126,20 +151,20 @@ def _coverage(diagnosis: Diagnosis, record: Telemetry | None) -> list[FigureBloc
     return [coverage_block(*counted(reading + reading @ S.reshape(3, 3).T + b_nT))] if rows.any() else []
 
 
-def _next_step(diagnosis: Diagnosis) -> str:
+def _next_step(diagnosis: Diagnosis, source: str) -> str:
     if diagnosis.sentence.startswith(FIRST):
         return "correct the file, and diagnose again."
     if diagnosis.verdict == "no_gap" and diagnosis.provenance.get("two_magnetometers", {}).get("differ"):
-        return "diagnose again with --magnetometer 2: the two magnetometers differ, and the first shows no gap."
+        return f"fluxtwin diagnose {source} --magnetometer 2: the two magnetometers differ, and the first shows no gap."
     if diagnosis.verdict == "no_gap":
         return "nothing needs correcting. The tables below say what these data could not have shown."
     if APART_FROM_THEM in diagnosis.sentence:
         return "find out why these rows are wrong, or leave their readings blank; the others need nothing."
     if diagnosis.verdict == "unknown" or any(len(effect.group) > 1 for effect in diagnosis.effects):
-        return "run fluxtwin plan with the same file; it proposes what to fly to find out."
+        return f"fluxtwin plan {source}, which proposes what to fly to find out."
     if diagnosis.transfers is not None:
         return f"{CORRECT}; diagnose the telemetry of another day with --scenario CLOSED.toml."
-    return f"diagnose again with --close CLOSED.toml. {CORRECT}; test that scenario on the telemetry of another day."
+    return f"fluxtwin diagnose {source} --close CLOSED.toml. {CORRECT}; test it on the telemetry of another day."
 
 
 def tables(diagnosis: Diagnosis) -> list[Table]:
@@ -165,24 +190,39 @@ def tables(diagnosis: Diagnosis) -> list[Table]:
     return [*shown, small] if small.rows else shown
 
 
+def lines(diagnosis: Diagnosis) -> list[str]:
+    """What follows the answer: what the named effects are, where the gap lies, what a second magnetometer says."""
+    named = [] if _wrong_file(diagnosis) else what_lines(diagnosis)
+    return [*named, *where_lines(diagnosis), *second_lines(diagnosis)]
+
+
 def where_lines(diagnosis: Diagnosis) -> list[str]:
     """Where the gap lies, in words; empty where there is none, and for a file that is wrong."""
     if diagnosis.verdict == "no_gap" or _wrong_file(diagnosis):
         return []
     place = diagnosis.where
-    likely = {kind: place.likely(kind) for kind in ("stage", "axis", "frame", "condition")}
     parts = [
-        f"{kind} {' or '.join(shares)} ({', '.join(map(percent, shares.values()))})"
-        for kind, shares in likely.items()
-        if shares
+        f"{begins}{' or '.join(f'{_in_words(name)} ({percent(share)})' for name, share in shares.items())}"
+        for kind, begins in _IN_WORDS.items()
+        if (shares := place.likely(kind))
     ]
     lines = [f"Where: {', '.join(parts) or 'no particular place'}."]
-    if equal := [stage for stage in place.equivalent if stage not in likely["stage"]]:
-        lines.append(f"On this orbit and attitude it could equally be at stage: {', '.join(equal)}.")
+    if equal := [stage for stage in place.equivalent if stage not in place.likely("stage")]:
+        lines.append(f"On this orbit and attitude, it could equally be at stage {' or '.join(equal)}.")
     unknown = diagnosis.verdict == "unknown" and APART_FROM_THEM not in diagnosis.sentence
     if unknown or any(len(effect.group) > 1 for effect in diagnosis.effects):
         lines.append(PLAN)
     return lines
+
+
+def _in_words(place: str) -> str:
+    return _PLACES.get(place, place.replace(":", "_"))  # driver:NAME is the column driver_NAME
+
+
+def what_lines(diagnosis: Diagnosis) -> list[str]:
+    """What the named effects are, for a person."""
+    names = dict.fromkeys(name for effect in diagnosis.effects for name in effect.group or (effect.name,))
+    return [f"{name}: {title[0].lower()}{title[1:]}." for name in names if (title := title_of(name))]
 
 
 def second_lines(diagnosis: Diagnosis) -> list[str]:
@@ -193,9 +233,9 @@ def second_lines(diagnosis: Diagnosis) -> list[str]:
     gone = pair["ruled_out"]
     used = f"rules out {' and '.join(gone)}" if gone else "rules out no cause"
     return [
-        f"Beside a calibration of each, the two magnetometers read {pair['apart_nT']:.3g} nT apart (rms), where their noise "
-        f"gives {pair['noise_nT']:.3g}; that difference {used}. What else the other one shows: "
-        f"--magnetometer {pair['other']}, and fluxtwin calibrate --both."
+        f"After a calibration of each, the two magnetometers differ by {pair['apart_nT']:.3g} nT rms, and their noise "
+        f"explains {pair['noise_nT']:.3g} nT. This {used}. For more about the other one: "
+        f"--magnetometer {pair['other']}, or fluxtwin calibrate --both."
     ]
 
 
@@ -236,20 +276,12 @@ def _which(diagnosis: Diagnosis) -> PageSection:
         words.append(f"It resembles {', '.join(diagnosis.resembles)}.")
     groups = [effect.group for effect in diagnosis.effects if len(effect.group) > 1]
     words += [f"{' and '.join(group)} cannot be distinguished in these data." for group in groups]
-    words += [f"{name}: {_title(name)}." for effect in diagnosis.effects for name in effect.group if _title(name)]
     shown = [effects_table(diagnosis)] if diagnosis.effects else []
     if any(effect.rivals for effect in diagnosis.effects):
         shown.append(rivals_table(diagnosis))
     if diagnosis.ranking:
-        table = ranking_table(diagnosis)
-        rows = [[*row, _title(line.name)] for row, line in zip(table.rows, diagnosis.ranking, strict=False)]
-        shown.append(Table(table.title, [*table.columns, "what it is"], rows, table.note))
+        shown.append(ranking_table(diagnosis))
     return PageSection("Which effect causes it", words or ([] if diagnosis.effects else ["None is named."]), shown)
-
-
-def _title(name: str) -> str:
-    """What an effect is, for a person; empty for a name that is not of the catalogue."""
-    return next((effect.title for effect in CATALOGUE if effect.family == name.partition(".")[0]), "")
 
 
 def _law(diagnosis: Diagnosis) -> list[PageSection]:
@@ -316,7 +348,7 @@ def _far(diagnosis: Diagnosis, record: Telemetry | None) -> PageSection:
             + ("The named effects explain the difference between the two curves. " if diagnosis.effects else "")
             + "The level on the right is noise."
         )
-        figures = [FigureBlock("gap_series", dots, gap_series(series))]
+        field, aside_nT = [], None
         if record is not None:
             rows = record.select(np.isin(record.time, series.time))
             words = "Predicted: the model with the calibration re-estimated, before any effect is named."
@@ -326,10 +358,25 @@ def _far(diagnosis: Diagnosis, record: Telemetry | None) -> PageSection:
             aside = np.zeros(len(rows), dtype=np.bool_) if series.cut is None else series.cut
             if not np.isfinite(series.before_nT[~aside]).any(axis=1).all():
                 words += " Rows that the rest of the record does not determine have no prediction."
-            figures = [field_block(rows, rows.mag_B_nT, rows.mag_B_nT - series.before_nT, words, aside), *figures]
-            figures += driver_blocks(rows, parts)
-        figures.append(FigureBlock("gap_spectra", spectra, draw_spectra(series)))
+            field = [field_block(rows, rows.mag_B_nT, rows.mag_B_nT - series.before_nT, words, aside)]
+            figures = driver_blocks(rows, parts)
+            if aside.any():
+                aside_nT = _residual_aside(rows, series.before_nT, aside)
+                dots += " Crosses: rows set aside, against the prediction of their neighbours. Arrows: values beyond."
+        gap = FigureBlock("gap_series", dots, gap_series(series, aside_nT))
+        figures = [*field, gap, *figures, FigureBlock("gap_spectra", spectra, draw_spectra(series))]
     return PageSection("How far it shrinks", [], [far_table(diagnosis), *momentum_tables(diagnosis)], figures)
+
+
+def _residual_aside(rows: Telemetry, residual_nT: FloatArray, aside: BoolArray) -> FloatArray:
+    """(N, 3) residual of the rows set aside, NaN elsewhere; they have no prediction, so between those of the neighbours."""
+    made, stamps = np.full(residual_nT.shape, np.nan), rows.time.astype(np.int64)
+    for axis, (reading, residual) in enumerate(zip(rows.mag_B_nT.T, residual_nT.T, strict=True)):
+        known = np.isfinite(residual) & ~aside
+        if known.any():
+            expected = np.interp(stamps[aside], stamps[known], (reading - residual)[known])
+            made[aside, axis] = reading[aside] - expected
+    return made
 
 
 def effects_table(diagnosis: Diagnosis) -> Table:
@@ -337,13 +384,13 @@ def effects_table(diagnosis: Diagnosis) -> Table:
     rows = []
     for effect in diagnosis.effects:
         label = " / ".join(effect.group) or effect.name
-        sure, price = percent(effect.probability), _p_value(effect.significance)
+        about = [percent(effect.probability), effect.stage, _p_value(effect.significance)]
         for name, parameter in effect.parameters.items():
             unit = "" if parameter.unit == "1" else f" [{parameter.unit}]"
-            rows.append([label, f"{name}{unit}", measured(parameter.value, parameter.sigma), sure, effect.stage, price])
-            label = sure = price = ""
+            rows.append([label, f"{name}{unit}", measured(parameter.value, parameter.sigma), *about])
+            label, about = "", [""] * len(about)
         if not effect.parameters:
-            rows.append([label, "", "", sure, effect.stage, price])
+            rows.append([label, "", "", *about])
     return Table(
         "Named effects",
         ["effect", "parameter", "value, 1 sigma", "probability", "stage", "p-value"],
@@ -492,7 +539,7 @@ def detectable_table(diagnosis: Diagnosis) -> Table:
     for name, d in diagnosis.minimum_detectable.items():
         unit = "" if d.unit == "1" else f" [{d.unit}]"
         typical = typical_size(name, d.parameter)
-        advice = diagnosis.would_settle.get(name, "these data show it").partition(": ")
+        advice = diagnosis.would_settle.get(name, "").partition(": ")
         shown = "" if typical is None else f"{abs(typical):g}"
         rows.append(
             [name, f"{d.parameter}{unit}", plain(d.value), shown, plain(d.visible_nT, 2), advice[2] or advice[0]]
@@ -501,8 +548,8 @@ def detectable_table(diagnosis: Diagnosis) -> Table:
         "Minimum detectable sizes",
         ["effect", "parameter", "smallest that shows", "typical", "visible rms [nT]", "to see the typical size"],
         rows,
-        "Detected with a probability of 90 %, with 0.2 % false alarms over all tests. To see half the size takes four times "
-        "the data.",
+        "Detected with a probability of 90 %, with 0.2 % false alarms over all tests. The last column is blank where these "
+        "data show the typical size. To see half the size takes four times the data.",
     )
 
 
@@ -519,7 +566,7 @@ def confused_table(diagnosis: Diagnosis) -> Table:
     rows = [[name, other, f"{100 * share:.0f} %"] for (name, other), share in ordered.items()]
     return Table(
         "Confused with each other on this orbit and attitude",
-        ["of", "can be imitated by", "share"],
+        ["effect", "can be imitated by", "share"],
         rows,
         "This follows from orbit, attitude and columns, not from the readings. Two effects that imitate each other by 98 % "
         "or more are named as a group.",

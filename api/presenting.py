@@ -81,8 +81,7 @@ def _fit(fit: Fit) -> Presented:
 
 
 def _diagnosis(found: Diagnosis) -> Presented:
-    lines = [*diagnosis_page.where_lines(found), *diagnosis_page.second_lines(found)]
-    sentences = [found.sentence, *lines, *found.notes]
+    sentences = [found.sentence, *diagnosis_page.lines(found), *found.notes]
     return Presented(sentences, diagnosis_page.tables(found))
 
 

@@ -18,8 +18,11 @@ _BANDS = 60
 _GROUPS = 12
 
 
-def gap_series(series: GapSeries) -> TimeSeries:
-    """How far: the residual of each axis before and after the named effects, samples and means of stretches."""
+def gap_series(series: GapSeries, aside_nT: FloatArray | None = None) -> TimeSeries:
+    """How far: the residual of each axis before and after the named effects, samples and means of stretches.
+
+    aside_nT: (N, 3) residual of the rows that were set aside, NaN elsewhere.
+    """
     panels = []
     for axis, name in enumerate("xyz"):
         lines = []
@@ -27,6 +30,8 @@ def gap_series(series: GapSeries) -> TimeSeries:
             lines.append(Line(words, values[:, axis], pale))
         for values, words, _, strong, _ in _both(series):
             lines.append(Line(f"{words}, mean", _means(series.time, values[:, axis]), strong, "line"))
+        if aside_nT is not None and np.isfinite(aside_nT).any():
+            lines.append(Line("set aside", aside_nT[:, axis], style.BLACK, "cross"))
         panels.append(Panel(f"{name} [nT]", lines))
     title = "Residual before and after the named effects" if len(_both(series)) > 1 else "Residual"
     return TimeSeries(title, series.time, panels)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -94,7 +95,8 @@ def command(
             diagnosis, scene = diagnosing.close(
                 diagnosis, scenario=scenario, telemetry=telemetry[0], column_map=reading.column_map, declared=declared
             )
-        _page(diagnosis, telemetry[0], html, record)
+        named = (shlex.quote(str(telemetry[0])), reading.words, assumed.words)
+        _page(diagnosis, telemetry[0], html, record, source=" ".join(filter(None, named)))
         if close is not None and scene is not None:
             save_scenario(scene, close)
     _say(output, diagnosis, html, close, closed=scene is not None)
@@ -153,7 +155,7 @@ def _several(
         for note in diagnosis.notes:
             output.note(f"note: {name}: {note}")
         output.prose(f"{name}: {diagnosis.sentence}", indent="  ")
-        for line in (*diagnosis_page.where_lines(diagnosis), *diagnosis_page.second_lines(diagnosis)):
+        for line in diagnosis_page.lines(diagnosis):
             output.prose(f"  {line}", indent="  ")
     output.result({"records": {name: diagnosis.to_dict() for name, diagnosis in found.items()}})
 
@@ -174,12 +176,15 @@ def _fleet(
     output.result(found.to_dict())
 
 
-def _page(diagnosis: Diagnosis, telemetry: Path, html: Path | None, record: Telemetry | None = None) -> None:
+def _page(
+    diagnosis: Diagnosis, telemetry: Path, html: Path | None, record: Telemetry | None = None, source: str = "TELEMETRY"
+) -> None:
     from fluxtwin.diagnosis_page import diagnosis_page
     from fluxtwin.report import write_page
 
     if html is not None:
-        write_page(diagnosis_page(diagnosis, f"The gap: {telemetry.name}", record=record), html)
+        page = diagnosis_page(diagnosis, f"The gap: {telemetry.name}", record=record, source=source)
+        write_page(page, html)
 
 
 def _say(output: Output, diagnosis: Diagnosis, html: Path | None, close: Path | None, *, closed: bool) -> None:
@@ -191,7 +196,7 @@ def _say(output: Output, diagnosis: Diagnosis, html: Path | None, close: Path | 
         why = "what is named is not in the readings" if diagnosis.effects else "no effect is named"
         output.note(f"note: {why}, so there is nothing to close: {close} is not written")
     output.prose(diagnosis.sentence)
-    for line in (*diagnosis_page.where_lines(diagnosis), *diagnosis_page.second_lines(diagnosis)):
+    for line in diagnosis_page.lines(diagnosis):
         output.prose(line)
     output.say()
     output.tables(diagnosis_page.tables(diagnosis))

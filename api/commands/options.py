@@ -137,6 +137,12 @@ class Assumed(NamedTuple):
     field: ScenarioFieldOption = None
     degree: DegreeOption = None
 
+    @property
+    def words(self) -> str:
+        """The options that are given, as a shell takes them."""
+        given = ((name, value) for name, value in self._asdict().items() if value is not None)
+        return shlex.join(word for name, value in given for word in (f"--{name.replace('_', '-')}", str(value)))
+
 
 ASSUMED = Assumed()
 

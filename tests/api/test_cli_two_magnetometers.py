@@ -70,15 +70,13 @@ def test_the_diagnosis_says_what_it_used_of_the_other_and_how_to_ask_it(cli: Cli
     done = cli("diagnose", flown, "--html", tmp_path / "d.html")
     assert done.status == 0, done.err
     said = " ".join(done.out.split())
-    found = re.search(
-        r"two magnetometers read (\S+) nT apart \(rms\), where their noise gives (\S+); that difference rules", said
-    )
+    found = re.search(r"two magnetometers differ by (\S+) nT rms, and their noise explains (\S+) nT. This rules", said)
     assert found and all(float(size) == pytest.approx(np.hypot(20.0, 60.0), rel=0.1) for size in found.groups())
-    assert "--magnetometer 2, and fluxtwin calibrate --both." in said
-    assert "--magnetometer 1, and fluxtwin calibrate --both." in " ".join(
+    assert "--magnetometer 2, or fluxtwin calibrate --both." in said
+    assert "--magnetometer 1, or fluxtwin calibrate --both." in " ".join(
         cli("diagnose", flown, "--magnetometer", 2).out.split()
     )
-    assert "two magnetometers read" in (tmp_path / "d.html").read_text(encoding="utf-8")
+    assert "two magnetometers differ by" in (tmp_path / "d.html").read_text(encoding="utf-8")
     fluxtwin.write(fluxtwin.read(flown).replace(mag2_B_nT=None), tmp_path / "one.nc")
     assert "two magnetometers" not in cli("diagnose", tmp_path / "one.nc").out
 

@@ -7,6 +7,7 @@ import json
 import re
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -141,12 +142,36 @@ def test_every_page_can_be_read(tab: Browser, pages: Path, name: str) -> None:
         assert shrunk == 0, "a figure is scrolled before its text is too small"
 
 
-@pytest.mark.parametrize("name", ["calibrate", "diagnose"])
-def test_the_row_set_aside_is_a_cross(pages: Path, name: str) -> None:
-    """One reading is wrong by 30 uT: it alone is a cross, on every axis and in size."""
-    (data,) = re.findall(r'<figure id="field">.*?application/json">(.*?)</script>', _text(pages, name), re.DOTALL)
-    crosses = [line for panel in json.loads(data)["panels"] for line in panel["lines"] if line["look"] == "cross"]
-    assert [line["rows"] for line in crosses] == [[100]] * 4
+def _panels(pages: Path, name: str, figure: str) -> list[dict[str, Any]]:
+    """The series of a figure, as its script has them."""
+    pattern = rf'<figure id="{figure}">.*?application/json">(.*?)</script>'
+    (data,) = re.findall(pattern, _text(pages, name), re.DOTALL)
+    found: list[dict[str, Any]] = json.loads(data)["panels"]
+    return found
+
+
+@pytest.mark.parametrize(
+    ("name", "figure", "panels"), [("calibrate", "field", 4), ("diagnose", "field", 4), ("diagnose", "gap_series", 3)]
+)
+def test_the_row_set_aside_is_a_cross(pages: Path, name: str, figure: str, panels: int) -> None:
+    """One reading is wrong by 30 uT on every axis: it alone is a cross, and its residual is that error but for b and S."""
+    crosses = [line for panel in _panels(pages, name, figure) for line in panel["lines"] if line["look"] == "cross"]
+    assert [line["rows"] for line in crosses] == [[100]] * panels
+    if figure == "gap_series":
+        assert all(abs(line["values"][0] - 30_000.0) < 1000.0 for line in crosses)
+
+
+def test_residuals_of_a_calibration_are_readings_less_the_model(pages: Path) -> None:
+    """As in a diagnosis. The corrections that were put in are b = 1000, -500, 300 nT, so the reading lacks them; S is zero,
+    and noise and attitude error average to some nT."""
+    before = _panels(pages, "calibrate", "residuals")[0]["lines"]
+    dots = {line["name"]: np.mean(line["values"]) for line in before if line["look"] == "dots"}
+    assert [dots[axis] for axis in "xyz"] == [pytest.approx(value, abs=30.0) for value in (-1000.0, 500.0, -300.0)]
+
+
+def test_an_effect_has_its_title_beside_its_name(pages: Path) -> None:
+    named = re.findall(r">time_<wbr>tag_<wbr>offset(?: / [^<]*)?<small>(.*?)</small>", _text(pages, "diagnose"))
+    assert named and set(named) == {"The reading is later than its time stamp"}
 
 
 def test_the_diagnosis_has_the_parameters_of_the_calibration(pages: Path) -> None:
@@ -185,6 +210,7 @@ def test_zoom_moves_every_figure_and_can_be_copied(tab: Browser, pages: Path) ->
     assert abs(share - 200.0 / across) < 0.01, "as much as was dragged over"
     assert first < start < end < last
     record = fluxtwin.read(pages / "t.nc")
+    assert first <= record.time[0] and record.time[-1] < last, "--to is the first instant that is left out"
     assert status_of("info", pages / "t.nc", *zoomed[0].split()) == 0, "the command line takes what is copied"
     shown = tab.run("document.querySelector('.readout').textContent")
     assert "(UTC)" in shown and "measured" in shown and "nT" in shown

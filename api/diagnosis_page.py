@@ -14,7 +14,7 @@ from fluxtwin.gap.held_out.closing import calibration, reestimated
 from fluxtwin.gap.problem.problem import DEFAULT_MODELLED
 from fluxtwin.gap.records.diagnosis import Diagnosis, Law
 from fluxtwin.gap.report.advice import typical_size
-from fluxtwin.gap.report.words import APART_FROM_THEM, FIRST
+from fluxtwin.gap.report.words import APART_FROM_THEM, FIRST, located, percent
 from fluxtwin.scenarios.page import FigureBlock, Page, PageSection, Table
 from fluxtwin.sim.base.files import to_json
 from fluxtwin.sim.base.types import BoolArray, FloatArray
@@ -32,28 +32,6 @@ _FACTS = {
     "noise": "noise model",
 }
 """What the page calls a fact of the provenance, where its own name does not say it."""
-_IN_WORDS = {"stage": "at stage ", "axis": "on ", "frame": "fixed in ", "condition": "depending on "}
-"""By kind of place, what comes before its names in a sentence."""
-_PLACES = {
-    "x": "the x axis",
-    "y": "the y axis",
-    "z": "the z axis",
-    "all": "all axes",
-    "body": "body axes",
-    "orbital": "orbital axes",
-    "inertial": "inertial axes",
-    "earth": "Earth-fixed axes",
-    "sunlit": "sunlight",
-    "torquer": "the torquers",
-    "current": "the current",
-    "orbit_phase": "the phase of the orbit",
-    "field_strength": "the strength of the field",
-    "rate": "the body rate",
-    "after_time": "whether an instant has passed",
-    "head": "the head of the sun sensor",
-    "region": "the region",
-}
-"""Names of places that are no words of a sentence."""
 PLAN = "To find out, run fluxtwin plan on the same file: it proposes what to fly."
 CORRECT = "fluxtwin apply --scenario CLOSED.toml corrects the readings with the named effects taken out"
 """What to do with a closed scenario."""
@@ -200,23 +178,11 @@ def where_lines(diagnosis: Diagnosis) -> list[str]:
     """Where the gap lies, in words; empty where there is none, and for a file that is wrong."""
     if diagnosis.verdict == "no_gap" or _wrong_file(diagnosis):
         return []
-    place = diagnosis.where
-    parts = [
-        f"{begins}{' or '.join(f'{_in_words(name)} ({percent(share)})' for name, share in shares.items())}"
-        for kind, begins in _IN_WORDS.items()
-        if (shares := place.likely(kind))
-    ]
-    lines = [f"Where: {', '.join(parts) or 'no particular place'}."]
-    if equal := [stage for stage in place.equivalent if stage not in place.likely("stage")]:
-        lines.append(f"On this orbit and attitude, it could equally be at stage {' or '.join(equal)}.")
+    lines = located(diagnosis.where)
     unknown = diagnosis.verdict == "unknown" and APART_FROM_THEM not in diagnosis.sentence
     if unknown or any(len(effect.group) > 1 for effect in diagnosis.effects):
         lines.append(PLAN)
     return lines
-
-
-def _in_words(place: str) -> str:
-    return _PLACES.get(place, place.replace(":", "_"))  # driver:NAME is the column driver_NAME
 
 
 def what_lines(diagnosis: Diagnosis) -> list[str]:
@@ -242,13 +208,6 @@ def second_lines(diagnosis: Diagnosis) -> list[str]:
 def _wrong_file(diagnosis: Diagnosis) -> bool:
     """Whether the cause is unknown and `fluxtwin check` finds the file wrong: what else was found may be of that alone."""
     return diagnosis.verdict == "unknown" and diagnosis.sentence.startswith(FIRST)
-
-
-def percent(share: float) -> str:
-    """A probability as nobody can misread it: certainty is not on offer."""
-    if share > 0.99:
-        return "> 99 %"
-    return "< 1 %" if share < 0.01 else f"{100 * share:.0f} %"
 
 
 def _where(diagnosis: Diagnosis) -> PageSection:

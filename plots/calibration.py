@@ -81,7 +81,9 @@ def draw_budget(
     if paper_range_mG is not None:
         low, tops = paper_range_mG.T
         wide = tops > low
-        axes.vlines(places[wide] + 0.2, low[wide], tops[wide], color=style.BLACK, linewidth=1.5, label="range in the papers")
+        axes.vlines(
+            places[wide] + 0.2, low[wide], tops[wide], color=style.BLACK, linewidth=1.5, label="range in the papers"
+        )
     for shift, values, heights in ((-0.2, simulated_mG, simulated_mG), (0.2, paper_rule_mG, tops)):
         for place, value, height in zip(places + shift, values, heights, strict=True):
             axes.annotate(f"{value:.2f}", (place, height), (0, 2), textcoords="offset points", ha="center", fontsize=8)

@@ -27,6 +27,28 @@ SECOND_UNUSED = (
 FIRST = "First correct the file as fluxtwin check says"
 """Begins the answer of a diagnosis of a file that is wrong."""
 UNEXPLAINED = "the catalogue does not explain all of the gap"
+_IN_WORDS = {"stage": "at stage ", "axis": "on ", "frame": "in ", "condition": "depending on "}
+"""By kind of place, what comes before its names in a sentence."""
+_PLACES = {
+    "x": "the x axis",
+    "y": "the y axis",
+    "z": "the z axis",
+    "all": "all axes",
+    "body": "body axes",
+    "orbital": "orbital axes",
+    "inertial": "inertial axes",
+    "earth": "Earth-fixed axes",
+    "sunlit": "sunlight",
+    "torquer": "the torquers",
+    "current": "the current",
+    "orbit_phase": "the phase of the orbit",
+    "field_strength": "the strength of the field",
+    "rate": "the body rate",
+    "after_time": "whether an instant has passed",
+    "head": "the head of the sun sensor",
+    "region": "the region",
+}
+"""Names of places that are no words of a sentence."""
 
 
 def no_gap(gap: Shrinkage, attitude_would_do_rad: float | None) -> str:
@@ -62,6 +84,30 @@ def unexplained(what: str, where: Place, resembles: Sequence[str]) -> str:
     at = f"at stage {' or '.join(stages)}" if stages else "at a stage that these data leave open"
     like = f" It resembles {', '.join(resembles)}." if resembles else ""
     return f"There is a gap that the catalogue does not explain, {at}: {what}.{like}"
+
+
+def percent(share: float) -> str:
+    """A probability as nobody can misread it: certainty is not on offer."""
+    if share > 0.99:
+        return "> 99 %"
+    return "< 1 %" if share < 0.01 else f"{100 * share:.0f} %"
+
+
+def located(where: Place) -> list[str]:
+    """Where the gap lies, with probabilities, and where else it could equally lie: a sentence each."""
+    parts = [
+        f"{begins}{' or '.join(f'{_in_words(name)} ({percent(share)})' for name, share in shares.items())}"
+        for kind, begins in _IN_WORDS.items()
+        if (shares := where.likely(kind))
+    ]
+    said = [f"Where: {', '.join(parts) or 'no particular place'}."]
+    if equal := [stage for stage in where.equivalent if stage not in where.likely("stage")]:
+        said.append(f"On this orbit and attitude, it could equally be at stage {' or '.join(equal)}.")
+    return said
+
+
+def _in_words(place: str) -> str:
+    return _PLACES.get(place, place.replace(":", "_"))  # driver:NAME is the column driver_NAME
 
 
 def wrong_file(traps: Sequence[str], verdict: str, sentence: str) -> str:

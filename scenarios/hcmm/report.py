@@ -10,6 +10,7 @@ import numpy as np
 
 from fluxtwin.gap.channels.sun_nadir import open_channel
 from fluxtwin.gap.records.diagnosis import Diagnosis, EffectParameter
+from fluxtwin.gap.report.words import located
 from fluxtwin.scenarios.flights import NAMES, Numbers, calibration_summary, rms_along, rms_mG, vector, vector_sigma
 from fluxtwin.scenarios.hcmm import calibration, mission, scanner, strength, yaw
 from fluxtwin.scenarios.hcmm.gallery import REGION_DEG
@@ -83,6 +84,7 @@ def words() -> Words:
         infrared_source=INFRARED_SOURCE,
         gallery=gallery_summary,
         iso=epoch.iso,
+        located=located,
         names=NAMES,
         null_words=NULLS,
         open_channel=open_channel,

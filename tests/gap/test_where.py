@@ -28,7 +28,7 @@ from fluxtwin.gap.problem.problem import Problem, pose
 from fluxtwin.gap.problem.row_axes import turn_images
 from fluxtwin.gap.records.diagnosis import Place
 from fluxtwin.gap.report.verdict import blended
-from fluxtwin.gap.report.words import unexplained
+from fluxtwin.gap.report.words import located, unexplained
 from fluxtwin.sim.attitude.gauss_markov import gauss_markov
 from fluxtwin.sim.earth import frames
 from fluxtwin.sim.earth.field import field_N_nT
@@ -393,6 +393,23 @@ def test_the_places_that_are_said_have_half_of_the_probability(stages: dict[str,
     place = Place("field", None, None, None, [], dict.fromkeys(("stage", "axis", "frame", "condition"), stages))
     assert list(place.likely("stage")) == said and place.likely("frame") == {}
     assert f"at stage {' or '.join(said)}: a drift." in unexplained("a drift", place, [])
+
+
+def test_a_place_is_a_sentence() -> None:
+    """With words in place of identifiers; a place that is not known is left out."""
+    shares = {
+        "stage": {"field": 0.36, "spacecraft": 0.26, "none": 0.38},
+        "axis": {"all": 0.999, "none": 0.001},
+        "frame": {"earth": 0.06, "none": 0.94},
+        "condition": {"driver:payload": 0.8, "none": 0.2},
+    }
+    place = Place("field", "all", "earth", "driver:payload", ["sensor", "field"], shares)
+    assert located(place) == [
+        "Where: at stage field (36 %), on all axes (> 99 %), in Earth-fixed axes (6 %), depending on driver_payload (80 %).",
+        "On this orbit and attitude, it could equally be at stage sensor.",
+    ]
+    nowhere = Place(None, None, None, None, [], {kind: {"none": 1.0} for kind in shares})
+    assert located(nowhere) == ["Where: no particular place."]
 
 
 def test_the_variance_is_of_what_the_best_of_all_leaves() -> None:

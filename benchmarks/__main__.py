@@ -72,7 +72,9 @@ def field(asked: Asked) -> Iterator[Line]:
     for rival, wanted in (("chaosmagpy", 73.0), ("ppigrf", 242.0)):
         if rival in rows:
             ratio = rows[rival]["fluxtwin_is_faster_by"]
-            how = "eight points (four without AVX-512) stay in registers; the other library makes arrays for each degree"
+            how = (
+                "eight points (four without AVX-512) stay in registers; the other library makes arrays for each degree"
+            )
             yield Line(
                 f"field, {points:,} points, against {rival}", f"{ratio:.3g} x", f"{wanted:g} x", ratio >= wanted, how
             )

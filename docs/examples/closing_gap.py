@@ -58,10 +58,10 @@ def main() -> None:
     named = fluxtwin.calibrate(monday, attitude_sigma_deg=0.1, driver=["array_current_A"])
     hours = (tuesday.time - tuesday.time[0]) / np.timedelta64(1, "h")
     shown = hours <= HOURS
-    made, grid = style.figure(7.2, 3.9, rows=2, cols=1, share_x=True)
+    made, grid = style.figure(5.0, 3.3, rows=2, cols=1, share_x=True)  # a telephone shows it 3.6 inches wide
     for (axes,), fit, colour, title in (
-        (grid[0], without, style.VERMILION, "calibrated (S, b)"),
-        (grid[1], named, style.BLUE, "calibrated with the field of the panels' current, which the diagnosis had named"),
+        (grid[0], without, style.VERMILION, "S and b calibrated"),
+        (grid[1], named, style.BLUE, "with the current that the diagnosis named"),
     ):
         left = along_nT(fluxtwin.apply(tuesday, fit.calibration))
         mean = np.convolve(left, np.ones(MEAN) / MEAN, mode="same")
@@ -74,10 +74,10 @@ def main() -> None:
         axes.set_ylim(-180, 180)
         axes.set_title(f"{title}: {np.sqrt(np.mean(left**2)):.0f} nT rms", fontsize=style.LABEL_PT, loc="left")
         style.label(axes, y="residual along\nthe field [nT]")
-    style.label(grid[1][0], x=f"hours of Tuesday, {str(tuesday.time[0])[:10]} (shaded: panels in the sun)")
+    style.label(grid[1][0], x=f"hours of {str(tuesday.time[0])[:10]} (shaded: panels in the sun)")
     style.heading(made, "Telemetry of a day that the calibration has not seen")
     out = parser.parse_args().out
-    made.savefig(out, dpi=150)
+    made.savefig(out, dpi=216)
     print(out)
 
 

@@ -199,7 +199,7 @@ def tumbler() -> tuple[Flight, str]:
 
 def draw(flights: dict[str, Flight], path: Path) -> None:
     """Six panels: what each law does to what it is for, and what its torquers do."""
-    figure, axes = plt.subplots(3, 2, figsize=(10, 9), layout="constrained")
+    figure, axes = plt.subplots(3, 2, figsize=(8, 8), layout="constrained")
     biases = (
         ("signs", "-", flights["momentum bias, signs"]),
         ("components", "--", flights["momentum bias, components"]),
@@ -219,7 +219,7 @@ def draw(flights: dict[str, Flight], path: Path) -> None:
         axes[1, 0].plot(
             flight.seconds_s[SETTLED:] / 3600, momentum_Nms[SETTLED:], ":", lw=1.0, label=f"three axes, {label}"
         )
-    axes[1, 0].set(title="wheels beyond their bias, after half an hour", ylabel="momentum [N m s]")
+    axes[1, 0].set(title="wheels beyond their bias", ylabel="momentum [N m s]")
     flight = flights["spin"]
     axis, nutation = spin_errors_deg(flight)
     axes[1, 1].plot(flight.seconds_s / 3600, axis, lw=0.8, label="axis from the orbit normal")
@@ -234,11 +234,13 @@ def draw(flights: dict[str, Flight], path: Path) -> None:
     for axis in axes.flat[:5]:
         axis.set_xlabel("time [h]")
     draw_duty(axes[2, 1], flights)
-    axes[1, 0].set_ylim(-1.1, 2.0)
+    axes[0, 0].set_ylim(-6.5, 8.5)  # room for the legends
+    axes[0, 1].set_ylim(5e-5, 2.0)
+    axes[1, 0].set_ylim(-1.1, 2.4)
     for axis in axes.flat:
         axis.grid(alpha=0.3)
-        axis.legend(fontsize=8, loc="upper right")
-    figure.savefig(path, dpi=110)
+        axis.legend(fontsize=8, loc="upper right", handlelength=1.5)
+    figure.savefig(path, dpi=140)
 
 
 def draw_duty(axes: Any, flights: dict[str, Flight]) -> None:
@@ -251,9 +253,9 @@ def draw_duty(axes: Any, flights: dict[str, Flight]) -> None:
         axes.bar(places, on, 0.25, color=f"C{number}", alpha=0.35)
         axes.bar(places, mean, 0.25, color=f"C{number}", label=f"torquer {label}")
     axes.set_xticks(range(len(names)), [name.replace("momentum bias, ", "bias,\n") for name in names], fontsize=8)
-    axes.set_title("torquers: time on (pale), mean dipole of their largest (full)", fontsize=10)
+    axes.set_title("torquers: time on (pale), mean dipole (full)", fontsize=10)
     axes.set_ylabel("share [%]")
-    axes.set_ylim(0, 135)  # room for the legend
+    axes.set_ylim(0, 160)  # room for the legend
     axes.set_yticks(range(0, 101, 20))
 
 
@@ -269,7 +271,7 @@ def main() -> None:
         "spin": spinner(),
         "B-dot": tumbler(),
     }
-    print("| law | in the end | torquers on (mean) |\n|---|---|---|")
+    print("| law | result | torquers on (mean) |\n|---|---|---|")
     for name, (flight, words) in runs.items():
         print(f"| {name} | {words} | {duty(flight)} |")
     if arguments.out:

@@ -167,10 +167,11 @@ def taken_out_first(telemetry: Telemetry, found: Fit, fit: Callable[[Telemetry],
     for part in np.linalg.cholesky(found.driver_covariance).T if biases and sigmas else ():
         step = freed(part).calibration.values - own.calibration.values
         covariance = covariance + np.outer(step, step)
-    said = f"the fields of the columns are those of {found.method}, which works with |B|; they are taken out first"
+    said = f"the fields of the columns are those of {found.method}, which works with |B|"
     of_columns = [text for text in found.messages if any(name in text for name in recorded_columns(telemetry))]
-    calibration = replace(own.calibration, telemetry_bias=biases, covariance=covariance)
-    messages = (*own.messages, said, *of_columns)
+    method = own.calibration.method + (f", field of {' and '.join(biases)} taken out first" if biases else "")
+    calibration = replace(own.calibration, telemetry_bias=biases, covariance=covariance, method=method)
+    messages = (*own.messages, *([said] if biases else []), *of_columns)
     return replace(own, calibration=calibration, driver_covariance=found.driver_covariance, messages=messages)
 
 

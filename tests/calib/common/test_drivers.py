@@ -139,6 +139,7 @@ def test_methods_with_a_constant_field_have_what_the_column_leaves_open_in_their
     white: Any = {"driver": ["array", "payload"], "covariance": "white"}
     joint, found = (fit_of(record, method=name, **white) for name in ("scalar", "twostep"))
     assert np.array_equal(error_of_drivers(found), error_of_drivers(joint))
+    assert found.calibration.method.endswith("field of driver_array and driver_payload taken out first")
     assert found.calibration.sigmas == pytest.approx(joint.calibration.sigmas, rel=0.05)
     field = sum(np.outer(record.drivers[name.removeprefix("driver_")], k) for name, k in K.items())
     known = fit_of(record.replace(mag_B_nT=record.mag_B_nT - field), method="twostep", covariance="white").calibration

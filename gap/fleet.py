@@ -193,8 +193,8 @@ def _in_common(scores: Sequence[Score]) -> tuple[float, int, float]:
 
 
 def _birge(apart: float, free: float) -> float:
-    """Of chi-square by which sizes differ, and its degrees of freedom."""
-    return max(apart / free, 1.0) if free > 0 else 1.0
+    """Of chi-square by which sizes differ, and its degrees of freedom: Cochran's Q; 1 unless it says that they do."""
+    return apart / free if free > 0 and chi2.sf(apart, free) < FALSE_ALARM else 1.0
 
 
 def _imitate(diagnoses: Sequence[Diagnosis], one: str, other: str) -> bool:
@@ -245,10 +245,9 @@ def _between(values: FloatArray, variances: FloatArray) -> float:
     """Variance from vehicle to vehicle; 0 unless Cochran's Q says that there is one."""
     w = 1.0 / variances
     mean = float(w @ values / w.sum())
-    q, free = float(w @ (values - mean) ** 2), values.size - 1
-    if chi2.sf(q, free) > FALSE_ALARM:
-        return 0.0
-    return max((q - free) / float(w.sum() - (w**2).sum() / w.sum()), 0.0)
+    free = values.size - 1
+    more = _birge(float(w @ (values - mean) ** 2), free) - 1.0
+    return free * more / float(w.sum() - (w**2).sum() / w.sum())
 
 
 def _faults(

@@ -118,6 +118,18 @@ def test_a_fault_of_one_is_not_the_mean_of_all(perfect: Diagnosis) -> None:
     assert fleet(["a", "b", "c"], [perfect, chance, perfect]).faults == ()
 
 
+def test_sizes_that_vary_as_their_noise_cost_no_power(perfect: Diagnosis) -> None:
+    """Cochran's Q is 15.9 with 11 degrees of freedom, exceeded by chance in one of seven: chi-square is 13.2, not 9.2."""
+    fleet_of = []
+    for number in range(12):
+        pull = 1.05 + (1.15 if number % 2 else -1.15)
+        late = Score("time_tag_offset", LATE, np.array([pull / SIGMA_S]), np.array([[SIGMA_S**-2]]))
+        other = Score("along_track_error", AHEAD, np.zeros(1), np.array([[1.0]]))
+        fleet_of.append(replace(perfect, scores=((late, other), (late, other))))
+    found = fleet([f"v{k}" for k in range(12)], fleet_of)
+    assert found.common is not None and found.common.name == "time_tag_offset" and found.common.spread[0] == 0.0
+
+
 def test_scores_are_those_of_least_squares(perfect: Diagnosis) -> None:
     """Of a record with a late clock: the estimate of its score alone is that of the diagnosis, within what is not linear."""
     found = asked(TUMBLING + "[effects.time_tag_offset]\noffset_s = 0.4\n")

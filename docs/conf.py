@@ -40,6 +40,8 @@ UNITS = r"%|(?:[nµu]T|mG|deg|[mu]?s|min|h|[km]?m|m?Hz|rpm|MB|m?A|rad)\b"
 TOGETHER = re.compile(
     rf"(?<=\d) (?={UNITS})|(?<=[\d%]) (?=(?:of|to) -?\d)|(?<=[\d%] (?:of|to)) (?=-?\d)|(?<=\w) (?=x\d)"
 )
+POWER = re.compile(r"(?<=[\w)])\^(-?\d+)")
+RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 MINUS = re.compile(r"(?<=[\de])-(?=\d)")
 LONG = re.compile(r"[\w.:/|,]{25,}(?![^<]*>)")
 PARAMETERS = re.compile(r"(?:^|(?<=[.;] ))([a-z_]\w*(?:, [a-z_]\w*)*): ")
@@ -94,10 +96,11 @@ def outside_as_files(_app: Any, name: str, source: list[str]) -> None:
 
 
 def kept_together(_app: Any, doctree: nodes.document, _name: str) -> None:
-    """A line does not end between a number and its unit, within a range, or within an exponent."""
+    """Powers are raised; a line does not end between a number and its unit, within a range, or within an exponent."""
     for text in list(doctree.findall(nodes.Text)):
         if not isinstance(text.parent, nodes.literal | nodes.literal_block | nodes.math | nodes.math_block | nodes.raw):
-            kept = MINUS.sub("-\u2060", TOGETHER.sub("\u00a0", str(text)))
+            raised = POWER.sub(lambda power: power[1].translate(RAISED), str(text))
+            kept = MINUS.sub("-\u2060", TOGETHER.sub("\u00a0", raised))
             if kept != text:
                 text.parent.replace(text, nodes.Text(kept))
 
@@ -113,6 +116,7 @@ def divided(_app: Any, _page: str, _template: str, context: dict[str, Any], _doc
 
     body = re.sub(r"<td\b.*?</td>", lambda cell: LONG.sub(parts, cell[0]), context.get("body", ""), flags=re.DOTALL)
     context["body"] = re.sub(r'<span class="pre">(.*?)</span>', code, body)
+    context["toc"] = LONG.sub(parts, context.get("toc", ""))
 
 
 def mathml(self: Any, node: nodes.Element) -> None:

@@ -27,8 +27,8 @@ PAGE = Path(__file__).resolve().parents[2] / "docs" / "trust.md"
 LIST = PAGE.parent / "design" / "unnoticed.md"
 LISTED = """# Small faults that no test notices
 
-`benchmarks/mutants.py` puts one small fault at a time into the product and runs the nearest tests. Those of the newest
-record that they did not notice ([how many of how many](../trust.md)), with file, function, change and line:
+`benchmarks/mutants.py` puts one small fault at a time into the product and runs the nearest tests. These are the
+faults of the newest run that no test noticed ([their share](../trust.md)), with file, function, change and line:
 
 """
 ABOUT = """# Robustness tests

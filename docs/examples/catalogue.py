@@ -15,7 +15,6 @@ from __future__ import annotations
 import argparse
 import io
 import json
-import re
 import tomllib
 from collections.abc import Sequence
 from itertools import groupby
@@ -286,7 +285,6 @@ def _looks(name: str, alike: dict[str, dict[str, dict[str, int]]]) -> list[str]:
 
 
 def _escaped(text: str) -> str:
-    text = re.sub(r"\^([234])", lambda power: "²³⁴"[int(power[1]) - 2], text)
     return text.replace("|", "\\|").replace("*", "\\*").replace("_", "\\_") if "|" in text or "*" in text else text
 
 

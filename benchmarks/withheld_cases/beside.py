@@ -54,7 +54,7 @@ def second_channel(cases: Sequence[Judged]) -> list[dict[str, Any]]:
     faults = of(cases, "sensed", names=lambda c: c.truths[0] in SENSORS)
     others = of(cases, "sensed", names=lambda c: c.truths[0] not in SENSORS)
     return [
-        *_both(nulls, "no gap on a perfect simulation", ">= 99 %", lambda c: c.verdict == "no_gap", 0.99),
+        *_both(nulls, "no gap on a perfect simulation", ">= 99 %", lambda c: c.quiet, 0.99),
         *_both(singles, "single, with a Jacobian, visible >= 0.2: list exactly right", TOLD, lambda c: c.list_right),
         *_both(faults, "fault of an attitude sensor, visible >= 0.2: list exactly right", TOLD, lambda c: c.list_right),
         *_both(

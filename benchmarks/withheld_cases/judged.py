@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from fluxtwin.gap.report.words import APART_FROM_THEM
+
 EQUIVALENT = {
     "bias": {"spacecraft"},
     "scale_misalignment": {"attitude"},
@@ -63,6 +65,12 @@ class Judged:
     def verdict(self) -> str:
         """no_gap, effect, unknown or error."""
         return str(self.said["verdict"])
+
+    @property
+    def quiet(self) -> bool:
+        """Whether no gap is said. Where readings are wild in truth: that nothing is there apart from these."""
+        apart = self.sealed["label"] == "outliers" and APART_FROM_THEM in str(self.said.get("sentence"))
+        return self.verdict == "no_gap" or apart
 
     @property
     def effects(self) -> list[dict[str, Any]]:

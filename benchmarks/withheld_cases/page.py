@@ -114,7 +114,8 @@ _BESIDE = {
     "nulls_undeclared": "Half of `nulls_undeclared` are the scenario of the README with seeds of their own.",
     "nulls": "`nulls` goes through the regimes in turn, with everything declared: passes are arcs of ten minutes, hours "
     "apart, with a sensor noise of 2 to 6 nT, an attitude error of 0.18 to 0.27 deg that wanders over 200 to 4000 s, and S "
-    "of 1.5 to 4 %; outliers are 10 to 100 times the noise. `passes_only`, `short` and `coarse` have nothing declared.",
+    'of 1.5 to 4 %; outliers are 10 to 100 times the noise, and "apart from these rows there is no gap" counts as no gap '
+    "there. `passes_only`, `short` and `coarse` have nothing declared.",
     "new_singles": "`new_singles` has effects that join the table with its next edition.",
     "outside_two": "`outside_two` and `singles_two` are the first flights of `outside` and `singles` once more, with a "
     "second magnetometer of its own S, b, noise and steps: 0 to 70 % of the spacecraft's fields reach it, no fault of the "

@@ -31,7 +31,7 @@ def _regimes(cases: Sequence[Judged]) -> list[dict[str, Any]]:
             f"false alarms on perfect flights: {null_regimes.WORDS[name]}",
             "<= 1 %",
             [c for c in nulls if c.sealed["label"] == name],
-            lambda c: c.verdict != "no_gap",
+            lambda c: not c.quiet,
             0.0,
             0.01,
         )

@@ -58,9 +58,7 @@ def _detection(cases: Sequence[Judged]) -> list[dict[str, Any]]:
     sizes = [len(names_of(entry)) for c in named for entry in c.effects]
     mean = sum(sizes) / len(sizes) if sizes else None
     return [
-        share_row(
-            "no gap on a perfect simulation", ">= 99 %", of(cases, "nulls"), lambda c: c.verdict == "no_gap", 0.99
-        ),
+        share_row("no gap on a perfect simulation", ">= 99 %", of(cases, "nulls"), lambda c: c.quiet, 0.99),
         share_row(
             "the same, declared attitude sigma off by 1.5",
             ">= 97 %",
@@ -194,7 +192,7 @@ def _rival(cases: Sequence[Judged]) -> list[dict[str, Any]]:
     singles = [c for c in both if c.population in ("singles", "pairs", "triples") and c.visible >= 0.2]
     shown = [c for c in singles if not distributional(c)]
     nulls = of(both, "nulls")
-    ours = _mean(nulls, lambda c: c.verdict != "no_gap")
+    ours = _mean(nulls, lambda c: not c.quiet)
     rows = []
     for rule in CRITERIA:
         for mine, which in ((singles, "list exactly right"), (shown, "the same, effects with a Jacobian")):
@@ -223,7 +221,7 @@ def right(case: Judged) -> bool:
     if case.population == "limits":
         return case.limit is None or case.limit["said"] is None or defaults.detected(case)
     if not case.truths:
-        return case.verdict == "no_gap"
+        return case.quiet
     if TWO.get(case.population, case.population) == "outside":
         return case.verdict == "unknown" and not case.effects
     if case.population == "shapes":

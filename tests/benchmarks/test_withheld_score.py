@@ -16,6 +16,8 @@ from withheld_cases import beside, promises, score, store
 from withheld_cases.cases import POPULATIONS
 from withheld_cases.judged import Judged
 
+from fluxtwin.gap.report.words import APART_FROM_THEM
+
 pytestmark = pytest.mark.property
 
 
@@ -62,6 +64,15 @@ def case(
 def value(rows: list[dict[str, Any]], start: str) -> Any:
     """Figure of the row whose title begins so."""
     return next(row["value"] for row in rows if row["figure"].startswith(start))
+
+
+def test_where_readings_are_wild_in_truth_saying_so_and_no_more_is_right() -> None:
+    said = f"12 rows have outliers. {APART_FROM_THEM}"
+    plain = case([], [], verdict="unknown", population="nulls")
+    wild = Judged(plain.sealed | {"label": "outliers"}, plain.said | {"sentence": said})
+    assert wild.quiet and score.right(wild)
+    assert not Judged(wild.sealed, wild.said | {"sentence": "There is a gap."}).quiet
+    assert not Judged(plain.sealed, wild.said).quiet
 
 
 def test_a_name_is_right_by_itself_or_in_its_group() -> None:

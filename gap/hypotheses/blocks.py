@@ -83,6 +83,10 @@ class Carrier:
         """(N, 3, 3k) a scale error of each axis under the condition."""
         return _spread(np.eye(3) * self.field_B_nT[:, None, :], condition.columns)
 
+    def mixed(self, condition: Condition) -> FloatArray:
+        """(N, 3, 9k) a share of each component of the field in each axis under the condition: S that follows it."""
+        return in_body((self.field_B_nT[:, :, None] * condition.columns[:, None, :]).reshape(self.rows, -1))
+
     def moved(self, condition: Condition) -> FloatArray:
         """(N, 3, 3k) an error of position along x, y, z of the orbital frame under the condition."""
         return _spread(self.displaced_nT_km, condition.columns)
@@ -180,6 +184,8 @@ def _sensor(carrier: Carrier, found: list[Condition]) -> Iterator[Block]:
     for c in found:
         if c.name in ("temperature", "time", "sunlit", "orbit_phase", "eclipse") and c.columns.shape[1] <= 4:
             yield _block(lambda c, _: carrier.gain(c), c, "body", {"sensor": 1.0})
+            pattern = "xyz" * 3 * c.columns.shape[1]
+            yield Block({"sensor": 1.0}, c.name, "body", c.label, pattern, partial(carrier.mixed, c))
     only: Mapping[str, float] = {"sensor": 1.0}
     for power, terms, count in ((2, 6, "two"), (3, 10, "three")):
         label = f"products of {count} components"

@@ -144,6 +144,11 @@ def warm_gain(d: Design) -> np.ndarray:
     return thermal(d)[:, None] * d.problem.field_B_nT * [1.0, -0.7, 0.5]
 
 
+def warm_shear(d: Design) -> np.ndarray:
+    """One axis reads a share of another that follows the temperature."""
+    return np.outer(thermal(d) * d.problem.field_B_nT[:, 2], [0.0, 1.0, 0.0])
+
+
 def clipped(d: Design) -> np.ndarray:
     B = d.problem.field_B_nT
     full = 0.8 * np.abs(B).max(axis=0)
@@ -200,6 +205,7 @@ CASES = {
     "panel": (panel, "spacecraft", "body", "sunlit"),
     "torquer": (torquer_that_saturates, "spacecraft", "body", "torquer"),
     "warm gain": (warm_gain, "sensor", "body", "temperature"),
+    "warm shear": (warm_shear, "sensor", "body", "temperature"),
     "clipped": (clipped, "sensor", "body", "field_strength"),
     "late": (late, "time", None, None),
     "ahead": (ahead, "orbit", "orbital", None),

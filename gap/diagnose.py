@@ -33,7 +33,7 @@ from fluxtwin.gap.posterior.explanations import Answer, noise_and_answer, withou
 from fluxtwin.gap.posterior.structured import Structured
 from fluxtwin.gap.posterior.torques import balanced
 from fluxtwin.gap.posterior.where import where
-from fluxtwin.gap.problem.problem import DEFAULT_MODELLED, Budget, Problem, pose, realigned
+from fluxtwin.gap.problem.problem import DEFAULT_MODELLED, Budget, Problem, calibrated, corrected, pose, realigned
 from fluxtwin.gap.problem.start import start_without_attitude
 from fluxtwin.gap.records.diagnosis import Detectable, Diagnosis, Place
 from fluxtwin.gap.report import input_warnings, level, second_channel, verdict, words
@@ -59,6 +59,8 @@ _FEWEST_ROWS = 200
 """Rows that thinning leaves at the least: several for each of some fifteen parameters of a usual problem."""
 _LEAST_FREE = 30
 """Measurements beyond the parameters: a variance is then known to a quarter, sqrt(2 / 30)."""
+_PART_OF_SIGMA = 0.5
+"""By which the size of an effect may be off because S was not quite right: the error is then at most 12 % larger."""
 _BOUNDLESS_RAD = 1.0
 """An attitude error beside which any other in a reading is nothing."""
 
@@ -212,10 +214,9 @@ def investigate(
     dictionary = Dictionary(blocks(problem, perturbed=perturbed), problem.rows)
     progress("noise, and which effects", 0.25)
     answer = noise_and_answer(problem, dictionary, known)
-    if problem.axes is not None and answer.result.chosen:
-        # A large effect moves where readings without attitude point to.
-        problem = realigned(problem, beside=[*answer.result.modelled, *answer.result.chosen])
-        known = candidates(problem)
+    again = _beside_the_names(problem, answer)
+    if again is not problem:
+        problem, known = again, candidates(again)
         dictionary = Dictionary(blocks(problem), problem.rows)
         answer = noise_and_answer(problem, dictionary, known)
     progress("residual structure, and where", 0.75)
@@ -230,7 +231,7 @@ def investigate(
         if whole is not None and len(whole) <= MOST_ROWS_FAST:
             every_row = (fast.problem, fast.robust)
     found = (*answer.shapes, *(() if coarser is None else (coarser,)))
-    findings = in_the_readings(*rows, answer.left.structured, found)
+    findings = in_the_readings(*rows, level.shape_nT(problem, answer), found)
     flexible = tuple(one for one in findings if one.confirmed)
     attitude_would_do_rad = _attitude_would_do(problem, answer, dictionary)
     between = apart(problem)
@@ -257,6 +258,24 @@ def _differ(problem: Problem, left: ProjectedResidual, fits: Sequence[BlockFit])
     have, as a large step makes all that is left look large."""
     found = judge(problem, left, fits)
     return judge(problem, left, fits, variance=1.0) if found.structured else found
+
+
+def _beside_the_names(problem: Problem, answer: Answer) -> Problem:
+    """The problem as the named effects leave it; itself where they change nothing that matters.
+
+    A large effect moves where readings without attitude point to. And the first fit takes some of it for S, through which
+    the sizes of effects are measured: S is then set anew, if a size would move by more than a part of its sigma.
+    """
+    result, old = answer.result, problem.setting.instrument
+    moved = float(np.abs(corrected(old, result.modelled).S - old.S).max())
+    sizes = [abs(size.value / size.sigma) for one in result.named for size in one.parameters.values() if size.sigma]
+    found = problem
+    if moved * max(sizes, default=0.0) > _PART_OF_SIGMA:
+        found = calibrated(problem, result.modelled)
+    if problem.axes is not None and result.chosen:
+        beside = [*(result.modelled if found is problem else found.modelled_active), *result.chosen]
+        found = realigned(found, beside=beside)
+    return found
 
 
 def _minimum_detectable(problem: Problem, answer: Answer) -> dict[str, Detectable]:

@@ -59,12 +59,13 @@ def in_the_readings(
     robust: RobustRows,
     residual_nT: FloatArray,
     fitted_nT: FloatArray,
-    is_structured: bool,
+    shape_nT: float | None,
     found: Sequence[Finding],
 ) -> tuple[Finding, ...]:
     """Those found before, then what the codes and the level of the noise say, confirmed or not.
 
-    residual_nT (N, 3), fitted_nT (N, 3, q): given the named effects. found: a coarser step and structured causes.
+    residual_nT (N, 3), fitted_nT (N, 3, q): given the named effects. shape_nT: what these may leave besides noise; None
+    where something unknown is left. found: a coarser step and structured causes.
     """
     reading, lsb = np.asarray(problem.telemetry.mag_B_nT), complete_budget(problem).lsb_nT
     noise = whitener.noise
@@ -78,11 +79,11 @@ def in_the_readings(
         if stuck is None:
             difference = residual_nT if robust.difference_nT is None else robust.difference_nT
             findings.append(flipped_bits(reading[whole], difference[whole], robust.cut[whole], lsb))
-    signals = any(one.name != "coarse_quantization" for one in found)
-    if noise.sigma_prior_nT > 0 and not signals and not (stuck is not None and stuck.confirmed):
+    walks = any(one.name == "bias_random_walk" for one in found)
+    if noise.sigma_prior_nT > 0 and not walks and not (stuck is not None and stuck.confirmed):
         rest = projected(whitener, residual_nT, fitted_nT)
         measured = None if problem.axes is None else problem.measured
-        findings.append(noise_level(rest, noise.white_nT, noise.sigma_prior_nT, is_structured, measured))
+        findings.append(noise_level(rest, noise.white_nT, noise.sigma_prior_nT, shape_nT, measured))
     return tuple(finding for finding in findings if finding is not None)
 
 

@@ -12,9 +12,10 @@ from fluxtwin.gap.held_out.held_out import floor_rms_nT
 from fluxtwin.gap.noise.budget import DECLARED, complete_budget, prior_of
 from fluxtwin.gap.noise.choice import NoiseModel, RobustRows
 from fluxtwin.gap.noise.robust_rows import CUT_SIGMA
-from fluxtwin.gap.posterior.explanations import Answer
+from fluxtwin.gap.posterior.explanations import Answer, signals_of
 from fluxtwin.gap.problem.problem import Budget, Problem
 from fluxtwin.gap.report import words
+from fluxtwin.gap.selection.criterion import SHAPE_ERROR
 
 _LEAST_SPREAD = 0.05
 """Standard deviation of the logarithm of the rms, however many rows: structure that nobody looks for is in any record."""
@@ -34,6 +35,19 @@ def residual_rms_nT(problem: Problem, answer: Answer) -> float:
     """rms per component of the residual of the fit, over the readings that are not cut [nT]."""
     rest = problem.in_row_axes(answer.result.residual_nT)[problem.measured & ~answer.robust.cut]
     return float(np.sqrt(np.mean(rest**2))) if rest.size else 0.0
+
+
+def shape_nT(problem: Problem, answer: Answer) -> float | None:
+    """What named causes may leave because nature's form is not theirs, rms per component [nT]; None where what is left is
+    something unknown."""
+    result = answer.result
+    if answer.left.structured and (not result.named or answer.known < 0.5):
+        return None
+    if not answer.left.structured and not answer.shapes:
+        return 0.0
+    rest_nT = problem.residual_of([*result.modelled, *result.chosen, *signals_of(answer.shapes)])
+    signal_nT = problem.in_row_axes(result.residual_alone_nT - rest_nT)[problem.measured]
+    return SHAPE_ERROR * float(np.sqrt(np.mean(signal_nT**2)))
 
 
 def beyond_budget(problem: Problem, answer: Answer) -> Excess | None:
@@ -59,7 +73,9 @@ def beyond_budget(problem: Problem, answer: Answer) -> Excess | None:
     if found_nT <= most_nT * np.exp(3.0 * spread):
         return None
     said = f"the residual of the fit is {found_nT:.1f} nT rms, where {expected_nT(1.0, 1.0):.1f} nT were expected"
-    if noise.theta_rad <= declared.attitude_sigma_rad:
+    whiter = noise.white_rms_nT**2 - noise.sigma_prior_nT**2
+    turned = [floor_rms_nT(field_nT, 0.0, rad, measured) ** 2 for rad in (noise.theta_rad, declared.attitude_sigma_rad)]
+    if turned[0] - turned[1] <= whiter:
         return Excess("sensor", said)
     return Excess("attitude", f"{words.attitude_error(noise, declared.attitude_sigma_rad)}: {said}")
 

@@ -66,7 +66,7 @@ class Bench:
         fits = fit_all(self.found, left)
         verdict, line = judge(self.problem, left, fits), strongest_line(setting.seconds, left)
         findings: list[Finding | None] = [
-            noise_level(left, SIGMA_NT, SIGMA_NT, verdict.structured),
+            noise_level(left, SIGMA_NT, SIGMA_NT, None if verdict.structured else 0.0),
             wheel_line(setting, left, line, fits),
             heater_sequence(setting, left, residual, fits, line),
             random_walk(setting.seconds, left, SIGMA_NT),

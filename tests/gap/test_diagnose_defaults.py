@@ -150,6 +150,23 @@ def test_a_faint_fast_line_does_not_take_the_name_from_a_large_effect() -> None:
     assert both.gap.shape_incomplete and "some smaller structure remains" in both.sentence
 
 
+def test_a_large_step_and_loud_noise_beside_it_are_measured(record: Telemetry) -> None:
+    """The first fit takes a part of the step for S, and some smaller structure is no reason to be silent on the noise."""
+    row = np.arange(len(record))
+    step_nT = np.where(row > len(record) // 2, 800.0, 0.0)[:, None] * [0.0, 1.0, 0.0]
+    line_nT = 15.0 * np.sin(2.0 * np.pi * 10.0 * row / 130.0)[:, None] * [1.0, 0.0, 0.0]
+    (step,) = asked(record.replace(mag_B_nT=record.mag_B_nT + step_nT), DECLARED).effects
+    b_y = step.parameters["b_y"]
+    assert step.name == "bias_step" and b_y.value == pytest.approx(-0.99 * 800.0, abs=4.0 * b_y.sigma)  # S_yy is -0.01
+    louder_nT = 60.0 * np.random.default_rng(7).standard_normal((len(record), 3))
+    loud = asked(record.replace(mag_B_nT=record.mag_B_nT + step_nT + line_nT + louder_nT), DECLARED)
+    assert loud.gap.shape_incomplete
+    found = {one.name: one for one in loud.effects}
+    assert set(found) == {"bias_step", "excess_noise"}
+    # Of the 20 nT that were declared, 10 % are not known: 0.7 nT of what is added.
+    assert found["excess_noise"].parameters["rms"].value == pytest.approx(60.0, abs=3.0)
+
+
 def test_a_stuck_axis_is_a_finding_and_no_effect(record: Telemetry) -> None:
     """One axis repeats for half an hour: attitude_step and switched_field describe it well, and neither is there."""
     reading = np.array(record.mag_B_nT)

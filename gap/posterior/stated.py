@@ -60,6 +60,13 @@ def as_stated(effects: Sequence[FoundEffect]) -> list[FoundEffect]:
     return found
 
 
+def likelier_unknown(effects: Sequence[FoundEffect]) -> bool:
+    """Whether it is likelier that not even the first of several names is right than that all are, or the first with
+    something else beside it."""
+    shares = [one.probability for one in as_stated(effects)]
+    return len(shares) > 1 and 1.0 - shares[0] > max(shares[0] - min(shares), min(shares))
+
+
 @cache
 def _steps() -> dict[str, Steps]:
     with TABLE.open("rb") as file:

@@ -19,7 +19,7 @@ from fluxtwin.gap.held_out.held_out import Prediction
 from fluxtwin.gap.hypotheses.candidates import OF_ERRORS
 from fluxtwin.gap.noise.choice import RobustRows
 from fluxtwin.gap.posterior.explanations import Answer
-from fluxtwin.gap.posterior.stated import as_stated
+from fluxtwin.gap.posterior.stated import as_stated, likelier_unknown
 from fluxtwin.gap.posterior.torques import Momentum
 from fluxtwin.gap.problem.problem import Problem
 from fluxtwin.gap.records.diagnosis import Closure, Detectable, Diagnosis, FoundEffect, Place, Shrinkage
@@ -81,8 +81,10 @@ class Work:
     def in_readings(self) -> list[FoundEffect]:
         """Effects in the readings that stand: few would do in their places, and nothing unknown is likelier."""
         result = self.answer.result
-        refuted = bool(result.resembles) or self.known < 0.5
-        return [] if refuted else [replace(one, probability=one.probability * self.known) for one in result.named]
+        if result.resembles or self.known < 0.5:
+            return []
+        found = [replace(one, probability=one.probability * self.known) for one in result.named]
+        return [] if likelier_unknown(found) else found
 
     @property
     def standing(self) -> list[FoundEffect]:
@@ -270,7 +272,9 @@ def _what(work: Work, where: Place) -> str:
     """What an answer without a name says of the data."""
     left, momentum = work.answer.left, work.momentum
     if not left.structured and not work.answer.result.resembles:
-        return momentum.left.words or words.left_over(work.prediction.shrinkage(True))
+        names = len(work.answer.result.named)
+        several = words.several(names) if names > 1 and work.known >= 0.5 else None
+        return momentum.left.words or several or words.left_over(work.prediction.shrinkage(True))
     return "; ".join(filter(None, (words.structure(left, where), momentum.left.words)))
 
 

@@ -119,6 +119,11 @@ def wrong_file(traps: Sequence[str], verdict: str, sentence: str) -> str:
     return f"{FIRST}, then diagnose again: {wrong}. {rest}"
 
 
+def several(names: int) -> str:
+    """Where so many names together explain what one unknown cause would rather."""
+    return f"it takes {names} causes of the catalogue together to explain it, and some other cause is more likely than these"
+
+
 def left_over(gap: Shrinkage) -> str:
     """Where the best fit explains too little of what it has not seen."""
     return (

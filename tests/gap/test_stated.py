@@ -8,7 +8,7 @@ from withheld_cases import stated as written
 from withheld_cases.stated import steps
 
 from fluxtwin.gap.posterior import stated as module
-from fluxtwin.gap.posterior.stated import FIRST, FURTHER, Steps, as_stated, stated
+from fluxtwin.gap.posterior.stated import FIRST, FURTHER, Steps, as_stated, likelier_unknown, stated
 from fluxtwin.gap.records.diagnosis import FoundEffect
 
 
@@ -58,3 +58,21 @@ def test_rivals_have_no_more_than_what_is_left() -> None:
     assert (one.probability, other.probability) == (stated(0.9), stated(0.9, FURTHER))
     assert sum(share for _, share in one.rivals) == pytest.approx(min(0.8, 1.0 - stated(0.9)))
     assert one.rivals[0][1] == pytest.approx(3.0 * one.rivals[1][1])
+
+
+@pytest.mark.parametrize(
+    ("first", "further", "unknown"),
+    # None is right in 0.4, all are in 0.3; in 0.05 and 0.3; in 0.4 and 0.5; a name alone needs no company.
+    [(0.6, [0.3], True), (0.95, [0.3], False), (0.6, [0.5], False), (0.6, [0.5, 0.3], True), (0.6, [], False)],
+)
+def test_several_names_that_are_likelier_wrong_than_right_are_not_given(
+    monkeypatch: pytest.MonkeyPatch, first: float, further: list[float], unknown: bool
+) -> None:
+    monkeypatch.setattr(module, "stated", lambda probability, place=FIRST: probability)
+    place = {"stage": "sensor", "axis": "all", "frame": "body", "condition": "after_time"}
+    support = {"group": ("bias_step",), "rivals": (), "significance": 1e-9, "visible_nT": 9.0}
+    names = [
+        FoundEffect(name="bias_step", parameters={}, settings={}, probability=one, **place, **support)
+        for one in [first, *further]
+    ]
+    assert likelier_unknown(names) == unknown

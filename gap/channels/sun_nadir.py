@@ -167,8 +167,8 @@ class Channel:
     """(N,) number of the pass."""
     designs: Designs
     orbit: FloatArray | None = None
-    """(N, 3) change in `residual_rad` per radian that the reported positions are turned about each inertial axis: along the
-    orbit and out of its plane; None where it is not known."""
+    """(N, 5) change in `residual_rad` per radian that the reported positions are turned about each inertial axis (along the
+    orbit and out of its plane) and, by two waves, along it once a revolution; None where it is not known."""
 
     @property
     def passes(self) -> int:
@@ -275,9 +275,13 @@ def _designs(
 
 
 def _turned_orbit(sun_N: FloatArray, r_N_km: FloatArray) -> FloatArray:
-    """(N, 3) computed angles of positions turned back about each inertial axis, less those as they are, per radian."""
-    steps = [_STEP_RAD * np.cross(axis, r_N_km) for axis in np.eye(3)]
-    return np.stack([_slope(sun_N, step - r_N_km, sun_N, -step - r_N_km) for step in steps], axis=1)
+    """(N, 5) computed angles of positions turned back about each inertial axis, and along the orbit once a revolution, as by
+    a wrong eccentricity (Kaula 1966, Theory of Satellite Geodesy, section 3.2), less those as they are, per radian."""
+    across = np.linalg.svd(r_N_km, full_matrices=False)[2]  # the last one is the normal of the orbit
+    steps = [_STEP_RAD * np.cross(axis, r_N_km) for axis in [*np.eye(3), across[2]]]
+    *turned, along = [_slope(sun_N, step - r_N_km, sun_N, -step - r_N_km) for step in steps]
+    waves = r_N_km @ across[:2].T / np.linalg.norm(r_N_km, axis=1)[:, None]
+    return np.column_stack([*turned, along[:, None] * waves])
 
 
 def _slope(up: FloatArray, up_nadir: FloatArray, down: FloatArray, down_nadir: FloatArray) -> FloatArray:

@@ -76,6 +76,19 @@ def test_a_reported_orbit_that_is_wrong_is_no_fault_of_a_sensor():
     assert open_channel(fly(HEAD_1)).beside_orbit().weigh().named.words == "sun_sensor_head_misalignment of head 1"
 
 
+def test_a_reported_orbit_of_wrong_eccentricity_is_no_fault_of_a_sensor():
+    """2 e = 0.5 deg along the orbit, once a revolution."""
+    right = fly({})
+    r_N_km = np.array(right.r_N_km)
+    across = np.cross(r_N_km[0], np.array(right.v_N_km_s)[0])
+    across /= np.linalg.norm(across)
+    phase = np.arctan2(np.cross(r_N_km[0], r_N_km) @ across, r_N_km @ r_N_km[0])
+    ahead = Rotation.from_rotvec(np.radians(0.5) * np.sin(phase + 1.0)[:, None] * across).apply(r_N_km)
+    channel = open_channel(right.replace(r_N_km=ahead))
+    assert channel.weigh().named is not None
+    assert channel.beside_orbit().weigh().named is None
+
+
 def test_false_alarms_are_rare():
     """30 flights without a fault: at 1 % two alarms or more have a chance of 4 %."""
     alarms = [seed for seed in range(30) if open_channel(fly({}, seed)).weigh().named is not None]

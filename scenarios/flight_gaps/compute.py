@@ -75,6 +75,8 @@ class Case(Strict):
     """The cause, in words."""
     expected: str = ""
     """What an answer should say, in words."""
+    expert: str = ""
+    """What an expert would say to a law of this record, in words."""
     right: list[str] = []
     wanted: Wanted | None = None
 

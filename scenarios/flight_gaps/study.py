@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from fluxtwin.gap.law.words import made_of
 from fluxtwin.gap.records.diagnosis import Diagnosis
 from fluxtwin.gap.report.words import at_the_end
 from fluxtwin.scenarios.flight_gaps.compute import STORM_NT, Answer, Outcome, compute, names_of
@@ -57,6 +58,8 @@ def words() -> Words:
         names_of=names_of,
         said=_said,
         as_expected=as_expected,
+        law_of=_law_of,
+        law_closes=_law_closes,
         storm_nT=STORM_NT,
     )
 
@@ -91,6 +94,21 @@ def _said(answer: Answer) -> str:
     said += "".join(f", with {end}" for effect in found.effects if (end := at_the_end(effect)))
     said += f", stage {' or '.join(found.where.likely('stage'))}" if found.where.stage else ""
     return said + (f"; resembles {', '.join(found.resembles)}" if found.resembles else "")
+
+
+def _law_of(answer: Answer) -> str:
+    """What the law follows, or why there is none."""
+    law = answer.found.law
+    if law is None:
+        return "none was sought: the names leave nothing"
+    return made_of(law.terms) if law.terms else f"none: {law.why_none}"
+
+
+def _law_closes(answer: Answer) -> str:
+    law = answer.found.law
+    if law is None or not law.terms or law.closed is None:
+        return ""
+    return f"{law.before_nT:.1f} to {law.after_nT:.1f} nT, {100 * law.closed:.0f} %"
 
 
 def page_values(outcome: Outcome) -> dict[str, Any]:

@@ -108,7 +108,7 @@ def _law_closes(answer: Answer) -> str:
     law = answer.found.law
     if law is None or not law.terms or law.closed is None:
         return ""
-    return f"{law.before_nT:.1f} to {law.after_nT:.1f} nT, {100 * law.closed:.0f} %"
+    return f"{law.before_nT:.3g} to {law.after_nT:.3g} nT, {100 * law.closed:.0f} %"
 
 
 def page_values(outcome: Outcome) -> dict[str, Any]:

@@ -39,6 +39,7 @@ add_module_names = False
 UNITS = r"%|(?:[nµu]T|mG|deg|[mu]?s|min|h|[km]?m|m?Hz|rpm|MB|m?A|rad)\b"
 TOGETHER = re.compile(
     rf"(?<=\d) (?={UNITS})|(?<=[\d%]) (?=(?:of|to) -?\d)|(?<=[\d%] (?:of|to)) (?=-?\d)|(?<=\w) (?=x\d)"
+    r"|(?<=\bN) (?=m\b)|(?<=N m) (?=s\b)|(?<=[Ag]) (?=m2\b)"
 )
 POWER = re.compile(r"(?<=[\w)])\^(-?\d+)")
 RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
@@ -108,15 +109,18 @@ def kept_together(_app: Any, doctree: nodes.document, _name: str) -> None:
 def divided(_app: Any, _page: str, _template: str, context: dict[str, Any], _doctree: Any) -> None:
     """A long name of code, or any in a table, may be divided after its signs; a short one of code stays whole."""
 
-    def parts(name: re.Match[str]) -> str:
-        return re.sub(r"(?<=\w)([_.,:/|]+)(?=\w)", r"\1<wbr>", name[0])
+    def parts(name: str) -> str:
+        return re.sub(r"(?<=\w)([_.,:/|]+)(?=\w)", r"\1<wbr>", name)
+
+    def whole(name: re.Match[str]) -> str:
+        return parts(name[0])
 
     def code(word: re.Match[str]) -> str:
-        return f'<span class="pre long">{LONG.sub(parts, word[1])}</span>' if LONG.search(word[1]) else word[0]
+        return f'<span class="pre long">{parts(word[1])}</span>' if len(word[1]) > 24 else word[0]
 
-    body = re.sub(r"<td\b.*?</td>", lambda cell: LONG.sub(parts, cell[0]), context.get("body", ""), flags=re.DOTALL)
+    body = re.sub(r"<td\b.*?</td>", lambda cell: LONG.sub(whole, cell[0]), context.get("body", ""), flags=re.DOTALL)
     context["body"] = re.sub(r'<span class="pre">(.*?)</span>', code, body)
-    context["toc"] = LONG.sub(parts, context.get("toc", ""))
+    context["toc"] = LONG.sub(whole, context.get("toc", ""))
 
 
 def mathml(self: Any, node: nodes.Element) -> None:

@@ -30,7 +30,8 @@ def command(
     With --scenario the effects of a closed scenario are taken out first: of spacecraft and sensor from the readings, an
     error along the track from the positions.
 
-    Refused, unless --force, are readings that are corrected already and a calibration of another spacecraft or time.
+    Refused, unless --force, are readings that are corrected already and a calibration of another spacecraft. Rows
+    outside the time or temperatures of the calibration are counted.
     """
     with output.progress(f"correcting {telemetry}"):
         import numpy as np

@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation
 from worlds import scenario_text
 
 from fluxtwin import diagnosing, diagnosis_page
+from fluxtwin.gap.channels import momentum_noise
 from fluxtwin.gap.channels.momentum import MomentumChannel
 from fluxtwin.gap.channels.momentum_arcs import Arcs, Craft, _filled, arcs, windows
 from fluxtwin.gap.channels.momentum_images import plain_torques
@@ -234,6 +235,22 @@ def test_a_perfect_record_balances(close) -> None:
     # A dipole of 1 mA m2 that the model lacks is seen against that.
     lacking = vehicle_of(scenario.updated({"torques.residual_dipole.dipole_Am2": [0.021, -0.02, 0.02]}))
     assert np.degrees(np.abs(cut.image(lacking)).max()) > 100 * 1e-5
+
+
+def test_an_attitude_finer_than_any_leaves_what_wanders_its_size(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The likeliest ratios of variances, 0.1 and 0.01, are of the sigma that was found, not of the one that is believed."""
+    nothing: Any = None
+    for sigma in (1e-3, 1e-12):
+
+        def likelihood(*given: Any, sigma: float = sigma) -> tuple[float, float]:
+            ratios = np.array([given[3].torque, given[3].rate]) / [0.1, 0.01]
+            return -float(np.sum(np.log10(np.maximum(ratios, 1e-9)) ** 2)), sigma
+
+        monkeypatch.setattr(momentum_noise, "_likelihood", likelihood)
+        found = momentum_noise.choose_noise(nothing, nothing, nothing, Budget())
+        assert found.sigma_rad == max(sigma, momentum_noise._FINEST_RAD)
+        wander = np.array([found.torque, found.rate]) * found.sigma_rad**2
+        assert wander == pytest.approx(np.array([0.1, 0.01]) * sigma**2, rel=1e-9)
 
 
 def window_number(cut: Any, window: Any) -> int:

@@ -36,7 +36,9 @@ def check_page(
 
 def verdict(found: CheckReport) -> str:
     """In a sentence."""
-    said = found.clean if not found.traps else f"{len(found.traps)} found: {', '.join(t.code for t in found.traps)}"
+    said, count = found.clean, len(found.traps)
+    if count:
+        said = f"{count} {'trap' if count == 1 else 'traps'} found: {', '.join(one.code for one in found.traps)}"
     return f"{found.source}: {found.samples} rows; {said}"
 
 

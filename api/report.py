@@ -108,12 +108,13 @@ def _whole(text: str) -> str:
     return "".join(parts)
 
 
-def _titles(text: str) -> list[str]:
-    """What the effects are that a cell names and nothing else; none for any other text."""
+def _titled(text: str) -> list[tuple[str, str]]:
+    """The parts of a cell that lists effects and nothing else, each with what it is; any other text whole, with nothing."""
     from fluxtwin.sim.effects.catalogue import title_of
 
-    found = [title_of(name) for name in re.split(r", | / ", text.removesuffix(" (named)"))]
-    return found if all(found) else []
+    parts = re.split(r"(?<=,) |(?<= /) ", text)
+    titles = [title_of(re.sub(r",$| /$| \(named\)$", "", part)) for part in parts]
+    return list(zip(parts, titles, strict=True)) if all(titles) else [(text, "")]
 
 
 def _download(text: str) -> str:
@@ -134,7 +135,7 @@ def _parts() -> tuple[Template, str, str]:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    filters: dict[str, Any] = {"shown": shown, "clean": clean, "whole": _whole, "titles": _titles, "drawn": _shown}
+    filters: dict[str, Any] = {"shown": shown, "clean": clean, "whole": _whole, "titled": _titled, "drawn": _shown}
     filters["download"] = _download
     environment.filters.update(filters)
     environment.tests["numeric"] = is_number

@@ -21,16 +21,18 @@ def command(
     calibration: Annotated[Path | None, typer.Option(metavar="FILE.toml", help="Calibration file.")] = None,
     scenario: Annotated[
         Path | None,
-        typer.Option(metavar="CLOSED.toml", help="In place of it: a closed scenario, with its effects taken out too."),
+        typer.Option(
+            metavar="CLOSED.toml", help="Instead of --calibration: a closed scenario, whose effects are taken out too."
+        ),
     ] = None,
     reading: of.Reading = of.READING,
 ) -> None:
     """Write telemetry with the readings corrected by (I+S) B + b + T D [nT]; other columns as they are.
 
-    With --scenario the effects of a closed scenario are taken out first: of spacecraft and sensor from the readings, an
-    error along the track from the positions.
+    With --scenario, the effects of a closed scenario are taken out first: those of spacecraft and sensor from the
+    readings, an error along the track from the positions.
 
-    Refused, unless --force, are readings that are corrected already and a calibration of another spacecraft. Rows
+    Readings that are corrected already, and a calibration of another spacecraft, are refused without --force. Rows
     outside the time or temperatures of the calibration are counted.
     """
     with output.progress(f"correcting {telemetry}"):

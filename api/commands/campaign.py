@@ -26,7 +26,7 @@ def command(
 ) -> None:
     """Fly N runs with drawn parameters, calibrate and diagnose each as the ground would, and compare with the truth.
 
-    Says how often each effect is named by its size, whether stated sigmas hold, and what is named that is not there.
+    Says how often each effect is named at each size, whether the stated sigmas hold, and which names are false.
     """
     from fluxtwin import outputs
 

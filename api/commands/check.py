@@ -35,8 +35,8 @@ def command(
 ) -> None:
     """Name the traps: counts or mG labelled as nT, wrong frames, transposed quaternions, time out of order.
 
-    A foreign file wants --map, unless it has to the letter a layout that is packaged; then that map is named.
-    Exit status 0 clean, 1 a trap was named, 2 unreadable.
+    A foreign file needs --map, unless its layout is exactly a packaged one; then that map is named.
+    Exit status 0 if clean, 1 if a trap was named, 2 if the file cannot be read.
     """
     with output.progress(f"checking {telemetry}") as progress:
         from fluxtwin import flight_software, outputs, verbs

@@ -21,9 +21,9 @@ def command(
         str | None, typer.Argument(metavar="[NAME]", help="One effect in detail, with a section for a scenario.")
     ] = None,
 ) -> None:
-    """List what reality may do that the baseline lacks, a line each. With NAME, that effect in full.
+    """List the effects that a simulation may lack, a line each. With NAME, that effect in full.
 
-    The keys are those of [effects.NAME] in a scenario; zero is absent.
+    The keys are those of [effects.NAME] in a scenario; with zero for each there is no effect.
     """
     from fluxtwin.sim.effects.catalogue import CATALOGUE, find_effect
 

@@ -43,7 +43,7 @@ def command(
 ) -> None:
     """Fly N vehicles of a scenario, each with its own drawn parameters, and sum up their pointing, rates and torquers.
 
-    Results do not depend on the number of processes or on interruptions. Memory holds one chunk a process.
+    Results do not depend on the number of processes or on interruptions. Each process holds one chunk in memory.
     """
     if extract is not None:
         _extract(output, scenario, out, seed, extract)
@@ -109,10 +109,18 @@ def _draw(flown: Ensemble) -> list[Path]:
         caption = "Pointing error at each time over the vehicles; the worst of each moment need not be one vehicle."
         blocks = [FigureBlock("envelope", caption, drawn)]
     lost = [f"lost: vehicle {one['vehicle']}: {one['reason']}" for one in found["why_lost"][:3]]
+    pointing, worst = found["figures"].get("pointing_rms_deg"), "K"
+    verdict = f"{found['vehicles'] - found['lost']} of {found['vehicles']} vehicles flew to the end."
+    if pointing is not None and pointing["vehicle_of_max"] is not None:
+        worst = str(pointing["vehicle_of_max"])
+        verdict += (
+            f" Pointing error, rms over the flight: median {pointing['p50']:.2g} deg; 95 % of the vehicles are below "
+            f"{pointing['p95']:.2g} deg; the worst, vehicle {worst}, has {pointing['max']:.2g} deg."
+        )
     page = Page(
         title=f"{found['vehicles']} vehicles of {found['name'] or 'a scenario'}",
-        verdict=f"{found['vehicles'] - found['lost']} of {found['vehicles']} vehicles flew to the end.",
-        next_step="fluxtwin ensemble with --extract K writes the scenario of vehicle K, to fly the worst one alone.",
+        verdict=verdict,
+        next_step=f"fluxtwin ensemble with --extract {worst} writes the scenario of vehicle {worst}, to fly it alone.",
         sections=[PageSection("What came out", lost, [_table(flown)], blocks)],
         provenance={"seed": str(found["seed"]), "span": " to ".join(found["span"]), "samples": str(found["samples"])},
     )

@@ -29,7 +29,7 @@ def command(
 ) -> None:
     """Print the formula of the target with units, its numbers and the error that they add; write its file.
 
-    Refused, unless --force, is a calibration that the target cannot hold or would refuse itself.
+    A calibration that the target cannot hold, or would refuse itself, is refused without --force.
     """
     from fluxtwin import flight_software
     from fluxtwin.calib.common.digits import plain

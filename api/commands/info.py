@@ -24,7 +24,7 @@ def command(
 ) -> None:
     """List columns with units, rates and values, span, gaps, passes, provenance, and what is missing for which verb.
 
-    Of a foreign file without --map the header is listed.
+    For a foreign file without --map, only the header is listed.
     """
     with output.progress(f"reading {files[0]}"):
         from fluxtwin.describing import info

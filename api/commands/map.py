@@ -27,7 +27,7 @@ def command(
 ) -> None:
     """Guess what the columns are from their names and sizes; whatever was guessed is marked "to be confirmed".
 
-    Confirm or mend each mark, then `fluxtwin check FILE --map MAP`: it tells whether the guesses were right.
+    Confirm or correct each guess, then run `fluxtwin check FILE --map MAP`, which says whether they were right.
     """
     from fluxtwin import outputs
     from fluxtwin.sim.base import files as storage

@@ -28,7 +28,7 @@ def command(
 ) -> None:
     """List every pass over every [station.NAME] from the first to the last sample of the schedule.
 
-    Elevation counts from each station's mask_deg, in straight lines. A pass that the span cuts is marked.
+    A pass counts from the elevation mask_deg of its station on, without refraction. A pass that the span cuts is marked.
     """
     with output.progress(f"reading {scenario}"):
         from fluxtwin.sim.run.scenario_passes import list_passes

@@ -30,7 +30,7 @@ def command(
     field: of.ScenarioFieldOption = None,
     degree: of.DegreeOption = None,
 ) -> None:
-    """Simulate a scenario and write its telemetry (.nc, .csv or .csv.gz), the scenario beside it."""
+    """Simulate a scenario and write its telemetry (.nc, .csv or .csv.gz), and the scenario beside it."""
     with output.progress(f"reading {scenario}") as progress:
         from fluxtwin import outputs
         from fluxtwin.sim.base.files import is_stream

@@ -40,9 +40,9 @@ def command(
     reading: of.Reading = of.READING,
     **options: Any,
 ) -> None:
-    """Test whether calibrations agree within their sigmas, say which parameter changed when or drifts, and what it matters.
+    """Test whether calibrations agree within their sigmas; say which parameter changed when, or drifts, and what it costs.
 
-    Exit status 0 they hold, 1 they do not.
+    Exit status 0 if they agree, 1 if not.
     """
     with output.progress(f"reading {files[0]}") as progress:
         from fluxtwin import outputs, trending

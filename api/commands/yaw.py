@@ -34,7 +34,7 @@ def command(
     degree: of.DegreeOption = None,
     reading: of.Reading = of.READING,
 ) -> None:
-    """Yaw [deg] from the calibrated field, roll and pitch, with its sigma; the reference only for comparison."""
+    """Yaw [deg] from the calibrated field, roll and pitch, with its sigma; the reference attitude is only compared."""
     with output.progress(f"reading {telemetry}") as progress:
         from fluxtwin import outputs, verbs
         from fluxtwin.presenting import presented

@@ -239,7 +239,7 @@ def _messages(solved: Solved, length_s: float, noise: ReadingNoise, options: Gyr
         f"{measured(float(x) * per_h, float(s) * per_h)}"
         for x, s in zip(solved.bias_rad_s, solved.bias_sigma_rad_s, strict=True)
     )
-    chosen = "as asked" if options.stretch_s is not None else "the longest of which there are three"
+    chosen = "as asked" if options.stretch_s is not None else "the longest that fits three times"
     return (
         say("gyro.stretches", count=solved.stretches, length_s=length_s, chosen=chosen),
         say("gyro.gyro_noise", deg_s=np.degrees(solved.gyro_noise_rad_s)),

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from fluxtwin.sim.base.types import FloatArray
 
 _STRETCH_S = of.Option(
-    "Length of a stretch over which the gyro is integrated [s]; gyro; default: the longest of which there are three.",
+    "Length of a stretch over which the gyro is integrated [s]; gyro; default: the longest that fits three times.",
     float,
     "S",
     allowed=lambda value: 1.0 <= value <= 1800.0,

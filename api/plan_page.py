@@ -24,7 +24,8 @@ def plan_page(plan: Plan | CalibrationPlan, title: str) -> Page:
     facts = {key: _fact(value) for key, value in plan.limits.items()}
     facts |= {"notes": "; ".join(plan.notes), **{f"not flown: {words}": why for words, why in plan.refused.items()}}
     next_step = (
-        "--out PLAN.toml writes the first manoeuvre as a scenario. Fly it, and diagnose or calibrate what comes down."
+        "fluxtwin plan with --out PLAN.toml writes the first manoeuvre as a scenario. Fly it, and diagnose or calibrate the "
+        "telemetry."
     )
     return Page(
         title=title,

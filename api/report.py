@@ -112,8 +112,8 @@ def _titled(text: str) -> list[tuple[str, str]]:
     """The parts of a cell that lists effects and nothing else, each with what it is; any other text whole, with nothing."""
     from fluxtwin.sim.effects.catalogue import title_of
 
-    parts = re.split(r"(?<=,) |(?<= /) ", text)
-    titles = [title_of(re.sub(r",$| /$| \(named\)$", "", part)) for part in parts]
+    parts = re.split(r"(?<=,) |(?<= /) |(?<= or) ", text)
+    titles = [title_of(re.sub(r",$| /$| or$| \(named\)$", "", part)) for part in parts]
     return list(zip(parts, titles, strict=True)) if all(titles) else [(text, "")]
 
 

@@ -138,6 +138,8 @@ def test_every_page_can_be_read(tab: Browser, pages: Path, name: str) -> None:
         live = tab.run("[...document.querySelectorAll('figure.live')].map((f) => f.id)")
         assert set(live) == LIVE & set(FIGURES[name])
         images = "[...document.querySelectorAll('figure:not(.live) img')]"
+        bare = "[...document.querySelectorAll('.stacked td:empty')].filter((td) => td.checkVisibility()).length"
+        assert width > 640 or tab.run(bare) == 0, "no name of a column without a value"
         shrunk = tab.run(f"{images}.filter((i) => i.offsetWidth < parseInt(i.style.minWidth)).length")
         assert shrunk == 0, "a figure is scrolled before its text is too small"
 

@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from fluxtwin.plots import style
 from fluxtwin.sim.base.types import BoolArray, FloatArray, IntArray, TimeArray
 
-_MOST_VALUES = 60_000  # of a figure: half a megabyte as text
+_MOST_VALUES = 32_000  # of a figure: a quarter of a megabyte as text; a page of two magnetometers has four
 _DIGITS = 6  # significant ones in the data of the script
 _COVERED = 0.5  # of the span: with less, pauses are shortened
 _SPREAD = 1.12  # of the largest value: where the axes end
@@ -64,7 +64,8 @@ class TimeSeries:
     def thinned(self) -> TimeSeries:
         """With as many rows as a page can carry, the extremes of every series among them."""
         lines = [line for panel in self.panels for line in panel.lines]
-        rows = extremes(np.transpose([line.values for line in lines]), _MOST_VALUES // max(len(lines), 1))
+        full = sum(line.look != "cross" for line in lines)  # the others have few values
+        rows = extremes(np.transpose([line.values for line in lines]), _MOST_VALUES // max(full, 1))
         if rows.size == self.time.size:
             return self
         pause = 4 * np.max(np.diff(rows)) * np.median(np.diff(self.time))  # stretches beside each other stay joined
@@ -196,8 +197,9 @@ def field_panels(
 
 
 def _line(line: Line) -> dict[str, Any]:
-    """Values that are there, with their rows where some are not."""
+    """Values that are there; where some are not, with their rows or those of the others, whichever are fewer."""
     known = np.isfinite(line.values)
-    sparse = {} if known.all() else {"rows": np.flatnonzero(known).tolist()}
+    few = {"rows": known} if 2 * known.sum() < known.size else {"missing": ~known}
+    sparse = {} if known.all() else {key: np.flatnonzero(rows).tolist() for key, rows in few.items()}
     values = [float(f"{value:.{_DIGITS}g}") for value in line.values[known].tolist()]
     return {"name": line.name, "look": line.look, "colour": line.colour, "values": values, **sparse}

@@ -15,7 +15,8 @@
     let stamp = 0;
     const t = data.steps_ms.map((step) => (stamp += step));
     for (const panel of data.panels) for (const line of panel.lines) {
-      line.t = line.rows ? line.rows.map((row) => t[row]) : t;
+      const missing = new Set(line.missing);
+      line.t = line.rows ? line.rows.map((row) => t[row]) : t.filter((_, row) => !missing.has(row));
       const steps = line.t.slice(1).map((ms, k) => ms - line.t[k]).sort((a, b) => a - b);
       line.pause = Math.max(PAUSE * (steps[steps.length >> 1] || 1), data.pause_ms);
     }

@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 
 import fluxtwin
 from fluxtwin.console import Manners, Output, clean, shown
-from fluxtwin.plots.time_series import Line, Panel, TimeSeries
+from fluxtwin.plots.time_series import Line, Panel, TimeSeries, field_panels, residual_panels
 from fluxtwin.report import png_bytes, render_report
 from fluxtwin.scenarios.page import FigureBlock, Page, PageSection, StudyResult, Table
 from fluxtwin.sim.base.seals import digest_of
@@ -241,6 +241,18 @@ def test_series_bring_one_script_which_the_policy_names_by_its_digest() -> None:
     assert json.loads(scripts[0][1])["panels"][0]["lines"][0]["name"] == lines[0].name
     assert "unsafe-inline" not in page.partition("style-src")[0] and "http://" not in scripts[1][1] + scripts[0][1]
     assert page.count("data:image/png;base64,") == 1, "without scripts the figure stands"
+
+
+def test_two_magnetometers_of_a_long_record_leave_room_on_a_page_of_two_megabytes() -> None:
+    """Field and residual of each, of noise, which nothing can compress; maps and drivers of both take 0.45 MB."""
+    count = 100_000
+    time = np.datetime64("2026-03-01", "ns") + np.arange(count) * np.timedelta64(5, "s")
+    noise = np.random.default_rng(1).normal(0.0, 100.0, (2, count, 3))
+    field = 30_000.0 * np.cos(np.arange(count)[:, None] / 180.0 + np.arange(3)) + noise[0]
+    aside = np.arange(count) % 1000 == 0
+    panels = [field_panels(field, field + noise[1], aside), residual_panels(noise[0], "xyz", aside, before_nT=noise[1])]
+    blocks = [FigureBlock(f"f{k}", "c", TimeSeries("t", time, panels[k % 2])) for k in range(4)]
+    assert len(render_report(Page("t", "v", sections=[PageSection("s", figures=blocks)]))) < 1_550_000
 
 
 @pytest.mark.parametrize("size_pt", [6.0, 12.0])

@@ -16,11 +16,12 @@ from scipy.stats import chi2
 from fluxtwin.calib.common.conventions import of_S
 from fluxtwin.calib.common.digits import measured
 from fluxtwin.calib.common.direction import CONFIDENCE, DirectionKnowledge, direction_knowledge
+from fluxtwin.calib.common.error_model import ErrorModel
 from fluxtwin.calib.common.observability import correlated_pairs, direction_words
 from fluxtwin.calib.common.orbit_error import stated_km
 from fluxtwin.calib.common.records import Calibration
 from fluxtwin.calib.common.words import say
-from fluxtwin.sim.base.types import BoolArray, FloatArray
+from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
 from fluxtwin.sim.telemetry.record import Telemetry
 
 if TYPE_CHECKING:
@@ -188,8 +189,22 @@ def _along(fit: Fit, telemetry: Telemetry, field_nT: FloatArray, kept: BoolArray
     # Noise is new in every row: what lasts in the residual is no noise, but for the errors of the calibration itself.
     images = np.einsum("ni,nik->nk", u, np.concatenate([of_S(B), np.broadcast_to(np.eye(3), (len(B), 3, 3))], axis=2))
     own = float(np.einsum("nj,jk,nk->n", images, fit.calibration.covariance[:12, :12], images).mean())
+    if fit.error_model is not None and fit.error_model.slow_nT > 0.0:
+        own *= _not_of_slow_errors(fit.error_model, noise, telemetry.time[fit.rows][kept])
     allowed = float(np.sqrt(chi2.ppf(1.0 - _FALSE_ALARM, len(r)) / len(r) * (1.0 + own / noise**2)))
     return Along(float(np.sqrt((r**2).mean())), noise, allowed)
+
+
+def _not_of_slow_errors(model: ErrorModel, noise_nT: float, time: TimeArray) -> float:
+    """Share of the variance of a calibration that is due to noise and attitude: what an error of so many nT, which lasts so
+    long, does to a mean grows with the square of the one and with the other.
+
+    The remaining slow errors were found in the residual that is looked at, so they are no excuse for it.
+    """
+    step_s = float(np.median(np.diff(time) / np.timedelta64(1, "s")))
+    of_attitude = max(model.expected_rms_nT**2 - noise_nT**2, 0.0) * max(model.attitude_tau_s or 0.0, step_s)
+    known = noise_nT**2 * step_s + of_attitude
+    return known / (known + model.slow_nT**2 * max(model.slow_tau_s, step_s))
 
 
 class DeclaredNoise(NamedTuple):

@@ -135,6 +135,17 @@ def test_a_load_that_lasts_is_no_noise(seasat: Any) -> None:
     assert verdict.next_step.startswith("fluxtwin diagnose")
 
 
+def test_a_slow_load_does_not_excuse_itself(seasat: Any) -> None:
+    """A body field that swings by 90 nT once an orbit and two fifths: the fit takes it for slow errors of its own."""
+    record = flown(seasat, noise_nT=25.0)
+    minutes = (record.time - record.time[0]) / np.timedelta64(60, "s")
+    load = np.sin(2.0 * np.pi * minutes / 140.0)[:, None] * [90.0, -60.0, 120.0]
+    fit = fitted(record.replace(mag_B_nT=record.mag_B_nT + load), seasat)
+    assert fit.error_model.slow_nT > 25.0
+    assert fit.verdict.along_field_nT > 1.5 * fit.verdict.along_field_expected_nT
+    assert fit.verdict.level == "usable", fit.verdict.lines
+
+
 def test_a_weak_direction_is_answered_with_a_manoeuvre(seasat: Any) -> None:
     """Day 227 alone, 44 minutes: the field hardly varies along body Y."""
     verdict = fitted(flown(seasat).select(slice(281, 325)), seasat).verdict

@@ -177,7 +177,7 @@ def test_the_page_carries_the_calibration_itself(cli: Cli, flight: Path, tmp_pat
 
 
 @pytest.mark.parametrize("method", ["linear", "scalar"])
-def test_predicted_minus_calibrated_is_the_residual(flight: Path, method: str) -> None:
+def test_calibrated_minus_predicted_is_the_residual(flight: Path, method: str) -> None:
     """The figures of the page agree with the fit: what is predicted is the model's field, whatever was fitted."""
     from fluxtwin.calib.common.design import reference_field_B_nT
     from fluxtwin.calibration_page import calibration_page
@@ -203,7 +203,9 @@ def test_predicted_minus_calibrated_is_the_residual(flight: Path, method: str) -
     kept = np.concatenate([n.values for p in series["residuals"].panels[1:] for n in p.lines if n.look != "cross"])
     crosses = [n.values for p in series["residuals"].panels[1:] for n in p.lines if n.look == "cross"]
     both = np.where(np.isnan(kept), np.concatenate(crosses), kept) if crosses else kept
-    assert np.array_equal(both, fit.residuals_nT.T.ravel()), "each row is drawn once, kept or set aside"
+    # The residual of a regression is model minus reading; the page has that of a diagnosis, reading minus model.
+    sign = -1.0 if method == "linear" else 1.0
+    assert np.array_equal(both, sign * fit.residuals_nT.T.ravel()), "each row is drawn once, kept or set aside"
 
 
 def test_the_page_takes_a_late_field_out_as_late_as_it_is(flight: Path) -> None:

@@ -131,7 +131,7 @@ class BiasStep(Step):
     settled_by = "data from well before and well after the jump"
     equivalent_stages = ("spacecraft",)
     about = (
-        "the bias b of eq. 1 jumps at a moment and stays; + lowers the reading from then on "
+        "the bias is b of eq. 1; + lowers the reading from then on "
         "(additive jump: Willsky & Jones 1976, doi 10.1109/TAC.1976.1101146)"
     )
     grid = 31

@@ -79,7 +79,7 @@ class BitErrors(DistributionEffect):
     settled_by = "the raw counts"
     after_rounding = True
     about = (
-        "single readings have a flipped or stuck bit; the parameter is the share of affected components "
+        "the parameter is the share of affected components "
         "(undetected bit errors of Seasat's telemetry: Lerner & Shuster 1981)"
     )
     bit: int | None = None

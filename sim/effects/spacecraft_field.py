@@ -32,9 +32,7 @@ class TorquerCoupling(SpacecraftField):
     name = "torquer_coupling"
     follows = "torquer"
     settled_by = "firing each torquer alone, on and off at full dipole, with the dipole in the telemetry"
-    about = (
-        "field C m of the torquers at the sensor (T = -C of Lerner & Shuster 1981, eq. 1; Seasat 1.7 nT/(A m2) at 6 m)"
-    )
+    about = "it is C m, m their dipole (T = -C of Lerner & Shuster 1981, eq. 1; Seasat 1.7 nT/(A m2) at 6 m)"
     parameters = vector_parameters("C", "nT/(A m2)", 2.0, axes=MATRIX)
 
     def values(self, setting: Setting) -> FloatArray | None:
@@ -61,8 +59,8 @@ class SolarArrayCurrent(SpacecraftField):
     follows = "current"
     settled_by = "steps of the load, or panels turned away from the sun, with the current in the telemetry"
     about = (
-        "field in proportion to the solar array's current, positive along the axis (RAX: Springmann & Cutler 2012, "
-        "doi 10.2514/1.56726; CryoSat-2: Olsen et al. 2020)"
+        "the array is the solar array; + along the axis (RAX: Springmann & Cutler 2012, doi 10.2514/1.56726; "
+        "CryoSat-2: Olsen et al. 2020)"
     )
     panel: PanelKind = "zenith"
 
@@ -132,7 +130,7 @@ class BatteryCurrent(SpacecraftField):
     follows = "current"
     settled_by = "steps of the load, or the taper at the end of charge, with the current in the telemetry"
     about = (
-        "field in proportion to the battery's current (+ when charging), + along the axis "
+        "the current is + when charging, the field + along the axis "
         "(CryoSat-2: Olsen et al. 2020, doi 10.1186/s40623-020-01171-9)"
     )
     parameters = vector_parameters("s", "nT/A", 20.0)
@@ -164,7 +162,7 @@ class Driver(SpacecraftField):
     keyed_by = "column"
     settled_by = "switching what it records on and off, in several attitudes"
     about = (
-        "field in proportion to a housekeeping column, late or smoothed, + along the axis (current loops: RAX, "
+        "late or smoothed where its settings say so, + along the axis (current loops: RAX, "
         "Springmann & Cutler 2012, doi 10.2514/1.56726; Swarm-Echo, Broadfoot et al. 2022, doi 10.5194/gi-11-323-2022)"
     )
     column: str = ""
@@ -236,10 +234,7 @@ class WheelField(SpacecraftField):
     name = "wheel_field"
     follows = None
     settled_by = "the wheel speed in the telemetry, or a few speeds held in turn"
-    about = (
-        "field of a dipole that rotates with a wheel, a cos(phase) + b sin(phase), aliased by the sampling "
-        "(dipole law: Jackson, section 5.6)"
-    )
+    about = "it is a cos(phase) + b sin(phase), aliased by the sampling (dipole law: Jackson, section 5.6)"
     wheel: int = 1
     """Number of the wheel, from 1."""
     frequency_Hz: float | None = None

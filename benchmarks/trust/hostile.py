@@ -169,7 +169,10 @@ def bombs(folder: Path, size: int) -> Row:
             worst_s, worst_MB = max(worst_s, took_s), max(worst_MB, took_MB)
             if took_s > 2.5 or took_MB > 300.0:
                 row.fault(f"{path.name}: {took_s:.1f} s, {took_MB:.0f} MB")
-        row.note = f"most {worst_s:.1f} s (a pipe is waited for 2 s besides) and {worst_MB:.0f} MB over the base"
+        row.note = (
+            f"less than {worst_s + 0.05:.1f} s and at most {worst_MB:.0f} MB above the base; "
+            "a pipe is refused after a wait of 2 s"
+        )
     return row
 
 

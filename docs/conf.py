@@ -39,7 +39,7 @@ add_module_names = False
 UNITS = r"%|(?:[nµu]T|mG|deg|[mu]?s|min|h|[km]?m|m?Hz|rpm|MB|m?A|rad)\b"
 TOGETHER = re.compile(
     rf"(?<=\d) (?={UNITS})|(?<=[\d%]) (?=(?:of|to) -?\d)|(?<=[\d%] (?:of|to)) (?=-?\d)|(?<=\w) (?=x\d)"
-    r"|(?<=\bN) (?=m\b)|(?<=N m) (?=s\b)|(?<=[Ag]) (?=m2\b)"
+    r"|(?<=\bstatus) (?=\d)|(?<=\bN) (?=m\b)|(?<=N m) (?=s\b)|(?<=[Ag]) (?=m2\b)"
 )
 POWER = re.compile(r"(?<=[\w)])\^(-?\d+)")
 RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
@@ -99,7 +99,9 @@ def outside_as_files(_app: Any, name: str, source: list[str]) -> None:
 def kept_together(_app: Any, doctree: nodes.document, _name: str) -> None:
     """Powers are raised; a line does not end between a number and its unit, within a range, or within an exponent."""
     for text in list(doctree.findall(nodes.Text)):
-        if not isinstance(text.parent, nodes.literal | nodes.literal_block | nodes.math | nodes.math_block | nodes.raw):
+        if not isinstance(
+            text.parent, nodes.literal | nodes.FixedTextElement | nodes.math | nodes.math_block | nodes.raw
+        ):
             raised = POWER.sub(lambda power: power[1].translate(RAISED), str(text))
             kept = MINUS.sub("-\u2060", TOGETHER.sub("\u00a0", raised))
             if kept != text:
@@ -107,7 +109,8 @@ def kept_together(_app: Any, doctree: nodes.document, _name: str) -> None:
 
 
 def divided(_app: Any, _page: str, _template: str, context: dict[str, Any], _doctree: Any) -> None:
-    """A long name of code, or any in a table, may be divided after its signs; a short one of code stays whole."""
+    """A long name of code, or any in a table, may be divided after its signs; one of code that fits a line stays whole.
+    Long texts in tables of many columns are marked, for narrow screens."""
 
     def parts(name: str) -> str:
         return re.sub(r"(?<=\w)([_.,:/|]+)(?=\w)", r"\1<wbr>", name)
@@ -116,9 +119,19 @@ def divided(_app: Any, _page: str, _template: str, context: dict[str, Any], _doc
         return parts(name[0])
 
     def code(word: re.Match[str]) -> str:
-        return f'<span class="pre long">{parts(word[1])}</span>' if len(word[1]) > 24 else word[0]
+        size = "long" if len(word[1]) > 36 else "middling"
+        return f'<span class="pre {size}">{parts(word[1])}</span>' if len(word[1]) > 24 else word[0]
+
+    def row(cells: re.Match[str]) -> str:
+        columns = cells[0].count("<td")
+        most = 60 if columns > 4 else 150 if columns == 4 else len(cells[0])
+        return re.sub(r"<td\b.*?</td>", lambda cell: marked(cell[0], most), cells[0], flags=re.DOTALL)
+
+    def marked(cell: str, most: int) -> str:
+        return cell.replace("<td", "<td data-long", 1) if len(re.sub(r"<[^>]*>", "", cell)) > most else cell
 
     body = re.sub(r"<td\b.*?</td>", lambda cell: LONG.sub(whole, cell[0]), context.get("body", ""), flags=re.DOTALL)
+    body = re.sub(r"<tr\b.*?</tr>", row, body, flags=re.DOTALL)
     context["body"] = re.sub(r'<span class="pre">(.*?)</span>', code, body)
     context["toc"] = LONG.sub(whole, context.get("toc", ""))
 

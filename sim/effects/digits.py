@@ -25,7 +25,7 @@ class ExcessNoise(DistributionEffect):
     follows = None
     settled_by = "a quiet stretch with torquers and payload off"
     about = (
-        "white noise beyond the declared, added to it in variance (magnetoresistors 10 to 100 nT rms; "
+        "added in variance to the declared noise (magnetoresistors 10 to 100 nT rms; "
         "200 nT in ST5's simulation, Sedlak)"
     )
     axis: Literal["x", "y", "z", "all"] = "all"

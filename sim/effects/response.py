@@ -66,7 +66,7 @@ class QuadraticNonlinearity(Nonlinearity):
 
     name = "quadratic_nonlinearity"
     about = (
-        "the reading gains products of two components, in nT at 50,000 nT each; positive raises it (the 6 x 3"
+        "products of two components, in nT at 50,000 nT each; positive raises the reading (the 6 x 3"
         " terms of CryoSat-2: Olsen et al. 2020, doi 10.1186/s40623-020-01171-9)"
     )
     degree = 2
@@ -79,7 +79,7 @@ class CubicNonlinearity(Nonlinearity):
 
     name = "cubic_nonlinearity"
     about = (
-        "the reading gains products of three components, in nT at 50,000 nT each; positive raises it (the 10 "
+        "products of three components, in nT at 50,000 nT each; positive raises the reading (the 10 "
         "x 3 terms of CryoSat-2: Olsen et al. 2020, doi 10.1186/s40623-020-01171-9)"
     )
     degree = 3
@@ -255,7 +255,7 @@ class Saturation(SignalEffect):
     settled_by = "turning the axis concerned along the strongest field, near the poles (a level axis by 90 deg)"
     after_noise = True
     about = (
-        "each axis is clipped at +-(full scale - depth), with full scale as declared or else the largest "
+        "the limits are +-(full scale - depth), with full scale as declared or else the largest "
         "reading; positive clips more (the limiter of every converter)"
     )
     typical_nT: float = 2000.0

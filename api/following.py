@@ -12,6 +12,7 @@ import time
 import warnings
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
+from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Unpack
 
@@ -188,7 +189,9 @@ class _Rows:
         return block
 
 
-def _taken(records: Iterable[Telemetry], start: np.datetime64 | str | None, where: str | None) -> Iterator[Telemetry]:
+def _taken(
+    records: Iterable[Telemetry], start: np.datetime64 | datetime | str | None, where: str | None
+) -> Iterator[Telemetry]:
     for record in records:
         with contextlib.suppress(NoneTaken):
             yield selected(record, start, None, where)

@@ -8,6 +8,7 @@ stand beside their reasons in the modules `check_*`.
 from __future__ import annotations
 
 from dataclasses import replace
+from datetime import datetime
 from pathlib import Path
 from typing import Any, Literal
 
@@ -97,8 +98,8 @@ def check_file(
     tle: Path | str | None = None,
     attitude: Path | str | None = None,
     max_samples: int | None = None,
-    start: np.datetime64 | str | None = None,
-    end: np.datetime64 | str | None = None,
+    start: np.datetime64 | datetime | str | None = None,
+    end: np.datetime64 | datetime | str | None = None,
     where: str | None = None,
     magnetometer: int = 1,
     onboard: Onboard | None = None,

@@ -122,6 +122,7 @@ def _fit(
         statistics=residual_statistics(used.time[kept_rows][kept], residual_nT[kept]),
         messages=_messages(solved, length_s, noise, options),
         driver_covariance=solved.fields_covariance,
+        warnings=(say("gyro.in_step", names=" and ".join(columns)),) if columns else (),
     )
     return with_warnings(fit, telemetry, robust=options.robust != "none")
 

@@ -424,7 +424,8 @@ def _current(header: Header, name: str) -> _Found:
     if re.search(r"solar|array|panel|(^|_)i?sa(_|$)|^i_?sol", low):
         return "array_current", [name], {"unit": unit}, [f"{name}: the unit, and that it is the solar array's"]
     keys: dict[str, object] = {"unit": stated.replace("ma", "mA").replace("a", "A")} if stated in ("ma", "a") else {}
-    return f"driver_{re.sub(r'[^a-z0-9]+', '_', low).strip('_')}", [name], keys, []
+    plain = re.sub(r"[^a-z0-9]+", "_", low).strip("_").removeprefix("driver_")
+    return f"driver_{plain}", [name], keys, []
 
 
 def _place(header: Header, free: list[str]) -> list[_Found]:

@@ -11,6 +11,7 @@ import dataclasses
 import itertools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
+from datetime import datetime
 from types import MappingProxyType
 from typing import Any, TypeGuard
 
@@ -200,8 +201,13 @@ class Telemetry(Shown):
 
         return to_xarray(self)
 
-    def between(self, start: np.datetime64 | str | None = None, end: np.datetime64 | str | None = None) -> Telemetry:
-        """The rows from `start` (included) to `end` (not included), UTC. Raises BadInput where none is left."""
+    def between(
+        self, start: np.datetime64 | datetime | str | None = None, end: np.datetime64 | datetime | str | None = None
+    ) -> Telemetry:
+        """The rows from `start` (included) to `end` (not included), UTC unless a datetime has a zone.
+
+        Raises BadInput where none is left.
+        """
         from fluxtwin.sim.telemetry.selection import selected
 
         return selected(self, start, end)

@@ -98,6 +98,8 @@ def test_the_field_of_a_column_is_found_within_its_sigmas(tmp_path: Path) -> Non
         assert low < sum(total) < high
     known = fluxtwin.Calibration.from_toml(fit.calibration.to_toml(tmp_path / "c.toml"))
     assert np.allclose(known.telemetry_bias["driver_tx"].value_nT, found.value_nT)
+    assert fit.verdict is not None and fit.verdict.level == "usable"
+    assert any("no delay and no lag" in reason for reason in fit.verdict.reasons)
     ignored = fluxtwin.calibrate(driven, method="gyro", stretch_s=170.0)
     assert ignored.calibration.sigma_nT > 1.2 * fit.calibration.sigma_nT
     same = driven.replace(drivers={"tx": on, "never": np.ones_like(on)})

@@ -393,6 +393,10 @@ def test_words_of_truth_in_a_frame_are_one_and_zero(record: fluxtwin.Telemetry) 
 
 def test_rows_by_time_and_by_condition(record: fluxtwin.Telemetry) -> None:
     part = record.between(str(record.time[10]), str(record.time[20]))
+    stamps = [pd.Timestamp(record.time[row]) for row in (10, 20)]
+    assert np.array_equal(record.between(*stamps).time, part.time)
+    there = [stamp.tz_localize("UTC").tz_convert("Asia/Tokyo") for stamp in stamps]
+    assert np.array_equal(record.between(*there).time, part.time)
     assert len(part) == 10 and part.time[0] == record.time[10]
     assert len(record.where("driver_payload >= 0.5")) == 30
     with pytest.raises(BadInput, match="no row is left"):

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from fluxtwin.gap.report.words import APART_FROM_THEM
-
+_APART = "apart from these rows there is no gap"
+"""What is said where some readings are wild and nothing else is found."""
 EQUIVALENT = {
     "bias": {"spacecraft"},
     "scale_misalignment": {"attitude"},
@@ -69,7 +69,7 @@ class Judged:
     @property
     def quiet(self) -> bool:
         """Whether no gap is said. Where readings are wild in truth: that nothing is there apart from these."""
-        apart = self.sealed["label"] == "outliers" and APART_FROM_THEM in str(self.said.get("sentence"))
+        apart = self.sealed["label"] == "outliers" and _APART in str(self.said.get("sentence"))
         return self.verdict == "no_gap" or apart
 
     @property

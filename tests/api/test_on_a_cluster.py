@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 import tomllib
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -20,11 +21,16 @@ pytestmark = [
     pytest.mark.filterwarnings("default"),  # of dask's own
 ]
 
+with_dask = pytest.mark.skipif(
+    find_spec("distributed") is None,
+    reason="needs the extra `cluster`; the extra `test` has it, so CI never skips this",
+)
+
 MAGNETOMETER = "[magnetometer]\nb_nT = [1000.0, -500.0, 300.0]\nnoise_nT = 20.0\n"
 
 
+@with_dask
 def test_the_bits_are_those_of_this_machine_and_a_lost_worker_costs_nothing(tmp_path: Path, cli: Cli) -> None:
-    pytest.importorskip("distributed")
     files = []
     for number in range(3):
         (tmp_path / "s.toml").write_text(
@@ -57,9 +63,9 @@ def test_the_bits_are_those_of_this_machine_and_a_lost_worker_costs_nothing(tmp_
     assert said.out.count(".nc: ") == 2
 
 
+@with_dask
 def test_a_campaign_loses_nothing_with_a_worker(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Four runs, a part each, so that a worker is lost while others wait; then the same runs here."""
-    pytest.importorskip("distributed")
     monkeypatch.setattr(fluxtwin.campaigning, "_IN_PART", 1)
     draws = '[draws]\n"magnetometer.b_nT" = { normal = 1500.0 }\n'
     (tmp_path / "s.toml").write_text(

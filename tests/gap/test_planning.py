@@ -146,7 +146,7 @@ def test_of_one_cause_nothing_is_ambiguous() -> None:
 
 def test_of_two_steps_that_are_over_no_flight_tells_which_it_was(flown: dict[str, tuple[Design, Flown]]) -> None:
     """A diagnosis that was read from its JSON has only later flights to look at: the question is asked all the same, and
-    first; of a step and a drift, which goes on, one is told by nothing being named."""
+    first. A drift goes on, so beside a drift a later flight on which nothing is named shows that it was the step."""
     (step, drift), view = (signal(name) for name in ("bias_step", "linear_drift")), next(iter(flown.values()))[1]
     first = Cause(dataclasses.replace(step, at="2020-02-28T00:00:00Z"), np.array([200.0, 0.0, 0.0]))
     (both,) = ambiguous(["bias_step", "mounting_step"], view, first)

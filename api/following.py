@@ -265,21 +265,21 @@ def _records(path: str, reading: Reading) -> Generator[Telemetry, None, None]:
             where=path,
             wanted="a file of text that grows by rows, or -",
         )
-    with tempfile.TemporaryDirectory() as folder:
-        part, head, rows = Path(folder) / name, b"", 0
+    head, rows = b"", 0
+    with tempfile.TemporaryDirectory() as folder, open(Path(folder) / name, "wb", buffering=0) as part:
         for lines in _whole_lines(path):
             if not head:
                 head, _, lines = without_comments(lines, [])[0].partition(b"\n")
             if not lines.strip():
                 continue
-            part.unlink(missing_ok=True)  # a new file is not written through to the disk, one that is cut short is
-            part.write_bytes(head + b"\n" + lines)
+            part.seek(0)
+            part.truncate(part.write(head + b"\n" + lines))
             try:
-                yield read_telemetry(part, **reading)
+                yield read_telemetry(part.name, **reading)
             except NoneTaken:
                 pass
             except BadInput as error:
-                words = str(error).replace(str(part), path)
+                words = str(error).replace(part.name, path)
                 raise BadInput(f"{words} (row 1 of this part is row {rows + 1} of all)") from None
             rows += lines.count(b"\n")
 

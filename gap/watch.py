@@ -191,11 +191,11 @@ class Watch:
             images.append(of_S(np.nan_to_num(dipole)))
         image = np.concatenate(images, axis=2)
         load[:, :, 3 : 3 + image.shape[2]] = image
-        one = ~whole
-        for columns in (load, white, faults):
-            columns[one, :1] = along[one, None, :] @ columns[one]
-        y[one, 0] = size[one] - length[one]
-        present[one, 1:] = False
+        if (one := ~whole).any():
+            for columns in (load, white, faults):
+                columns[one, :1] = along[one, None, :] @ columns[one]
+            y[one, 0] = size[one] - length[one]
+            present[one, 1:] = False
         return y, load, np.square(white), present, faults, field_B
 
     def _changed(self, time: np.datetime64) -> Changed:

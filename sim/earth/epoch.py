@@ -11,7 +11,6 @@ All functions take arrays of any length and are vectorised. Source of the scales
 from __future__ import annotations
 
 import re
-import warnings
 from functools import cache
 
 import erfa
@@ -70,9 +69,8 @@ def jd_utc(time: TimeArray | np.datetime64) -> tuple[FloatArray, FloatArray]:
 
 def jd_tai(time: TimeArray | np.datetime64) -> tuple[FloatArray, FloatArray]:
     """Two-part Julian date of TAI (ERFA utctai)."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", erfa.ErfaWarning)  # "dubious year": far future, no leap second known
-        return erfa.utctai(*jd_utc(time))  # type: ignore[no-any-return]
+    days, fraction, _ = erfa.ufunc.utctai(*jd_utc(time))  # its status: "dubious year", far future, no leap second known
+    return days, fraction
 
 
 def jd_tt(time: TimeArray | np.datetime64) -> tuple[FloatArray, FloatArray]:

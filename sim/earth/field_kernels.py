@@ -98,21 +98,20 @@ def _gauss_normalised(coefficients_nT: FloatArray) -> tuple[FloatArray, FloatArr
     """Factors c, d of the Gauss-normalised harmonics, indexed [degree, order], from Schmidt's g and h."""
     used = np.flatnonzero(coefficients_nT)
     n_max = int(np.sqrt(used[-1] + 1)) if used.size else 1
-    degree, order, factor = _layout(n_max)
-    g = degree**2 - 1 + np.maximum(2 * order - 1, 0)
-    c, d = np.zeros((2, n_max + 1, n_max + 1))
-    c[degree, order] = factor * coefficients_nT[g]
-    tesseral = order > 0
-    d[degree[tesseral], order[tesseral]] = factor[tesseral] * coefficients_nT[g[tesseral] + 1]
-    return c, d
+    place, factor = _layout(n_max)
+    both = np.zeros((2, n_max + 1, n_max + 1))
+    both.ravel()[place] = factor * coefficients_nT[: place.size]
+    return both[0], both[1]
 
 
 @lru_cache(maxsize=64)
-def _layout(n_max: int) -> tuple[np.ndarray, np.ndarray, FloatArray]:
-    """Degree, order and Schmidt over Gauss factor of each (n, m), n = 1..n_max, m = 0..n."""
-    degree = np.repeat(np.arange(1, n_max + 1), np.arange(2, n_max + 2))
-    order = np.concatenate([np.arange(n + 1) for n in range(1, n_max + 1)])
-    return degree, order, np.concatenate([_schmidt_factors(n) for n in range(1, n_max + 1)])
+def _layout(n_max: int) -> tuple[np.ndarray, FloatArray]:
+    """Place in [g or h, degree, order], flat, and Schmidt over Gauss factor of each coefficient to degree n_max."""
+    degree = np.repeat(np.arange(1, n_max + 1), 2 * np.arange(1, n_max + 1) + 1)
+    within = np.arange(1, degree.size + 1) - degree**2
+    order, is_h = (within + 1) // 2, (within > 0) & (within % 2 == 0)
+    factor = np.concatenate([_schmidt_factors(n) for n in range(1, n_max + 1)])[degree * (degree + 1) // 2 - 1 + order]
+    return np.ravel_multi_index((is_h.astype(int), degree, order), (2, n_max + 1, n_max + 1)), factor
 
 
 def _schmidt_factors(n: int) -> FloatArray:

@@ -85,8 +85,7 @@ class FieldModel:
         return piece, (stamps - knots[piece]) / (knots[piece + 1] - knots[piece])
 
     def _piece(self, stamps: np.ndarray) -> np.ndarray:
-        piece = np.searchsorted(self.knots.astype("int64"), stamps, side="right") - 1
-        return np.clip(piece, 0, self.knots.size - 2)
+        return np.searchsorted(self.knots[1:-1].astype("int64"), stamps, side="right")
 
     def _refuse(self, stamps: np.ndarray) -> None:
         times = stamps.astype("datetime64[ns]")

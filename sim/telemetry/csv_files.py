@@ -105,7 +105,7 @@ class CsvFile:
                 return truths | self.numbers([name for name in names if name not in truths])
             raise self._bad_cell(names) from None
         found = {name: np.ascontiguousarray(column) for name, column in zip(names, table.T, strict=True)}
-        for name, value in found.items():
+        for name, value in found.items() if np.isinf(table).any() else ():
             self._finite(name, value)
         return found
 
@@ -364,12 +364,11 @@ def _checked_rows(body: bytes, width: int, max_samples: int, where: str) -> int:
     ends = np.flatnonzero(raw == 10)
     require_rows(ends.size, max_samples, where)
     commas = np.flatnonzero(raw == 44)
-    fields = np.diff(np.searchsorted(commas, ends), prepend=0) + 1
-    wrong = np.flatnonzero(fields != width)
+    wrong = np.flatnonzero(np.searchsorted(commas, ends) != np.arange(1, ends.size + 1) * (width - 1))
     if wrong.size:
         row = int(wrong[0])
         start = 0 if row == 0 else int(ends[row - 1]) + 1
-        raise _width(row, int(fields[row]), width, int(ends[row]) == start, where)
+        raise _width(row, body.count(b",", start, ends[row]) + 1, width, int(ends[row]) == start, where)
     return int(ends.size)
 
 

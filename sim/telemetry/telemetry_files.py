@@ -125,7 +125,7 @@ def as_path(given: Any) -> Path:
 
 def read_table(path: Path | str | Table, *, max_samples: int = MAX_SAMPLES, others: Sequence[str] = ()) -> FileTable:
     """The columns of a contract file before they are a record, and `others`; rows may still be in any order."""
-    table = table_of(Path(path), max_samples) if not isinstance(path, Table) else path
+    table = table_of(path, max_samples) if not isinstance(path, Table) else path
     if table is not None:
         return contract(table, others)
     assert not isinstance(path, Table)
@@ -157,7 +157,7 @@ def write_telemetry(telemetry: Telemetry, path: Path | str) -> Path:
 
 
 def _kind(path: Path | str) -> str:
-    name = Path(path).name.lower()
+    name = str(path).lower()
     if name.endswith((".nc", ".nc4", ".h5")):
         return "nc"
     if name.endswith((".csv", ".csv.gz")):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
@@ -62,14 +63,14 @@ WRITTEN = tuple(ending for one in FORMATS if one.writes for ending in one.ending
 
 def format_of(path: Path | str) -> Format | None:
     """The format of that name, None for CSV, NetCDF and what is not known. A folder of 42's files is one too."""
-    name = Path(path).name.lower()
+    name = str(path).lower()
     found = next((one for one in FORMATS if name.endswith(one.endings)), None)
-    if found is None and Path(path).is_dir() and any(Path(path).glob("*.42")):
+    if found is None and os.path.isdir(path) and any(Path(path).glob("*.42")):
         return Format("a run of 42", (), "forty_two")
     return found
 
 
-def table_of(path: Path, max_samples: int, sheet: str | None = None) -> Table | None:
+def table_of(path: Path | str, max_samples: int, sheet: str | None = None) -> Table | None:
     """The table of a file, or of one sheet of it, in one of these formats; None for another. Raises BadInput, also for more
     rows than wanted."""
     found = format_of(path)
@@ -77,4 +78,4 @@ def table_of(path: Path, max_samples: int, sheet: str | None = None) -> Table | 
         raise BadInput(f"has no sheets, and the map names {sheet!r}", where=str(path), wanted="a workbook")
     if found is None:
         return None
-    return found.read(path, max_samples, *([] if sheet is None else [sheet]))
+    return found.read(Path(path), max_samples, *([] if sheet is None else [sheet]))

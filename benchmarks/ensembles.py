@@ -23,15 +23,16 @@ import argparse
 import functools
 import importlib.metadata
 import platform
+import resource
 import statistics
 import subprocess
 import sys
 import tempfile
-import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
-from multiprocessing import active_children
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -113,75 +114,71 @@ class Used(NamedTuple):
     clock_s: float
     processor_s: float
     """Of all processes."""
-    longest_way_s: float | None
-    """Processor time of this process and of one of those that it started, on average; None where nobody says."""
+    longest_way_s: float
+    """Processor time of this process and of one of those that it started, on average."""
 
 
 def seconds_of(scenario: Scenario, vehicles: int, jobs: int) -> Used:
     """For so many vehicles. Nothing is remembered of flights before."""
     scenario_dynamics.forget_flights()
     scenario_dynamics._around.clear()
-    with tempfile.TemporaryDirectory() as folder, watched() as others:
-        began, used, own = time.perf_counter(), processor_s(), time.process_time()
+    with tempfile.TemporaryDirectory() as folder:
+        began, own, others = time.perf_counter(), time.process_time(), others_s()
         fly_ensemble(scenario, vehicles, Path(folder) / "results", jobs=jobs)
-        own = time.process_time() - own
-        spent = time.perf_counter() - began, processor_s() - used
-    if jobs > 1 and len(others) != jobs:
-        return Used(*spent, None)
-    return Used(*spent, own + sum(others.values()) / max(len(others), 1))
+        own, others = time.process_time() - own, others_s() - others
+        return Used(time.perf_counter() - began, own + others, own + others / jobs)
 
 
-@contextmanager
-def watched() -> Iterator[dict[int, float]]:
-    """Processor seconds of each process that is started inside, as Linux counts them, to a fiftieth of a second."""
-    seen: dict[int, float] = {}
-    ended = threading.Event()
-
-    def look() -> None:
-        while not ended.wait(0.02):
-            for process in active_children():
-                with suppress(OSError, TypeError):
-                    seen[process.pid] = 1e-9 * int(Path(f"/proc/{process.pid}/schedstat").read_text().split()[0])
-
-    looking = threading.Thread(target=look)
-    looking.start()
-    try:
-        yield seen
-    finally:
-        ended.set()
-        looking.join()
-
-
-def processor_s() -> float:
-    """Of this process and of all that it has started and that have ended, user and system."""
-    return sum(os.times()[:4])
+def others_s() -> float:
+    """Processor seconds of all processes that this one has started and that have ended, user and system."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
 
 
 def growth(scenario: Scenario, counts: list[int], cores: int, steps: int, repeats: int) -> list[dict[str, float]]:
-    """Seconds for each number of vehicles, on one core and on all, and processor time of one step of one vehicle."""
+    """Seconds for each number of vehicles, on one core and on all in turn, and processor time of a step of a vehicle."""
+    tried: dict[tuple[int, int], list[Used]] = {(count, jobs): [] for count in counts for jobs in {1, cores}}
+    for _ in range(repeats):
+        for (count, jobs), done in tried.items():
+            done.append(seconds_of(scenario, count, jobs))
     rows = []
     for count in counts:
-        tried = [seconds_of(scenario, count, 1) for _ in range(repeats)]
-        used = min(one.processor_s for one in tried)
+        used = min(one.processor_s for one in tried[count, 1])
         row = {
             "vehicles": count,
-            "one_core_s": min(one.clock_s for one in tried),
+            "one_core_s": min(one.clock_s for one in tried[count, 1]),
             "one_core_cpu_s": used,
             "cpu_us_per_step": 1e6 * used / count / steps,
         }
         if cores > 1:
-            tried = [seconds_of(scenario, count, cores) for _ in range(repeats)]
-            best = min(tried, key=lambda one: one.clock_s)
+            best = min(tried[count, cores], key=lambda one: one.clock_s)
             row |= {
                 "all_cores_s": best.clock_s,
                 "all_cores_cpu_s": best.processor_s,
                 "cores_kept_busy": best.processor_s / best.clock_s,
                 "cpu_over_that_of_one_core": best.processor_s / used,
+                "longest_way_s": min(one.longest_way_s for one in tried[count, cores]),
             }
-            ways = [one.longest_way_s for one in tried if one.longest_way_s is not None]
-            row |= {"longest_way_s": min(ways)} if ways else {}
         rows.append(row)
     return rows
+
+
+def apart(quick: bool, vehicles: int, cores: int, repeats: int) -> float:
+    """How many times the work of one process as many processes do that have nothing in common but the machine: an ensemble
+    each, in turn with one alone, by processor time. What the processes of one ensemble gain is bounded by it."""
+    alone, together = [], []
+    with ProcessPoolExecutor(cores, get_context("spawn"), initializer=start_and_end_quickly) as pool:
+        for number in range(repeats + 1):  # the first loads the kernels
+            one = pool.submit(_alone, quick, vehicles).result()
+            many = list(pool.map(_alone, [quick] * cores, [vehicles] * cores))
+            if number:
+                alone.append(one)
+                together.append(statistics.mean(many))
+    return cores * min(alone) / min(together)
+
+
+def _alone(quick: bool, vehicles: int) -> float:
+    return seconds_of(example(quick), vehicles, 1).processor_s
 
 
 def shares(scenario: Scenario, vehicles: int) -> dict[str, float]:
@@ -261,6 +258,8 @@ def report(arguments: argparse.Namespace) -> dict[str, Any]:
             "an orbit each": shares(own_orbit, arguments.share_of),
         },
     }
+    if arguments.jobs > 1:
+        record["apart"] = apart(arguments.quick, arguments.share_of, arguments.jobs, 1 if arguments.quick else 15)
     if len(rows) > 1:
         record |= linearity(rows)
     return record
@@ -301,7 +300,8 @@ def show(record: dict[str, Any]) -> None:
         print(f"one more vehicle {more:.1f} ms, once {record['cpu_s_once']:.2f} s")
         if "longest_way_s_once" in record:
             way, once = 1e3 * record["longest_way_s_of_one_more_vehicle"], record["longest_way_s_once"]
-            print(f"the longest way of {record['cores']} processes: one more vehicle {way:.1f} ms, once {once:.2f} s")
+            print(f"the longest way of {record['cores']} processes: one more vehicle {way:.1f} ms, once {once:.2f} s;")
+            print(f"processes with nothing in common but the machine do {record['apart']:.2f} times the work of one")
         print(f"a vehicle of the last line takes {ratio:.2f} of one of the line before: 1 is linear")
     start = record["second_start"]
     print(

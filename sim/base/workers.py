@@ -9,11 +9,12 @@ from __future__ import annotations
 import importlib
 import os
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Executor, ProcessPoolExecutor, wait
+from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from functools import partial
 from multiprocessing import active_children, get_context
+from queue import Empty, SimpleQueue
 from typing import Any, TypeAlias
 
 from fluxtwin.sim.base.errors import BadInput
@@ -78,13 +79,19 @@ def here(function: Callable[..., Any], calls: Sequence[tuple[Any, ...]]) -> Iter
 
 def by_executor(executor: Executor, function: Callable[..., Any], calls: Sequence[tuple[Any, ...]]) -> Iterator[Any]:
     """The answers of an executor; what has not begun when the work here ends early is called off."""
+    done: SimpleQueue[Future[Any]] = SimpleQueue()
     waiting = {executor.submit(function, *call) for call in calls}
+    for future in waiting:
+        future.add_done_callback(done.put)
     try:
         while waiting:
             stop_if_asked()
-            done, waiting = wait(waiting, timeout=_LOOK_S, return_when=FIRST_COMPLETED)
-            for future in done:
-                yield future.result()
+            try:
+                future = done.get(timeout=_LOOK_S)
+            except Empty:
+                continue
+            waiting.remove(future)
+            yield future.result()
     except BrokenProcessPool:
         stop_if_asked()
         raise BadInput(

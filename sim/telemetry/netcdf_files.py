@@ -91,17 +91,16 @@ class NetcdfFile:
         """Variables of the root group. Raises BadInput for links that leave the file."""
         import h5py
 
-        names = []
+        names, group = [], self._root.id
         with self._reading("its list of variables cannot be read"):
-            for name in self._root:
-                link = self._root.get(name, getlink=True)
-                if not isinstance(link, h5py.HardLink):
+            for name, key in zip(self._root, group, strict=True):
+                if group.links.get_info(key).type != h5py.h5l.TYPE_HARD:
                     raise BadInput(
-                        f"{clip(name)} is a link to another place ({type(link).__name__})",
+                        f"{clip(name)} is a link to another place ({type(self._root.get(name, getlink=True)).__name__})",
                         where=self.where,
                         wanted="a file that holds its own data",
                     )
-                if self._root.get(name, getclass=True) is h5py.Dataset:
+                if h5py.h5o.get_info(group, key).type == h5py.h5o.TYPE_DATASET:
                     names.append(str(name))
                 if len(names) > MAX_COLUMNS:
                     raise BadInput(f"has more than {MAX_COLUMNS} variables", where=self.where)

@@ -54,15 +54,10 @@ def _write_table(path: Path, rows: Iterable[Iterable[Any]]) -> Path:
 
 
 def _index_rows(plan: Plan, figures: Mapping[str, FloatArray]) -> Iterator[Iterable[Any]]:
+    yield [*plan.row(0), *figures]
+    columns = [[value if isfinite(value) else "" for value in values.tolist()] for values in figures.values()]
     for vehicle in range(plan.vehicles):
-        row = plan.row(vehicle) | {name: float(values[vehicle]) for name, values in figures.items()}
-        if vehicle == 0:
-            yield row
-        yield [_cell(value) for value in row.values()]
-
-
-def _cell(value: Any) -> Any:
-    return "" if isinstance(value, float) and not isfinite(value) else value
+        yield [*plan.row(vehicle).values(), *(column[vehicle] for column in columns)]
 
 
 def gather(plan: Plan, folder: Path) -> tuple[dict[str, FloatArray], dict[int, str]]:

@@ -264,6 +264,15 @@ def along_the_stars(world: World, columns: Mapping[str, Column], rng: np.random.
     return Drawn((Part(columns[name].course, direction(rng), "inertial"),), (name,), {"frame": "inertial"})
 
 
+def from_a_time_on(world: World, columns: Mapping[str, Column], rng: np.random.Generator) -> Drawn:
+    """A load that acts from a time on that nobody recorded: a relay that was switched."""
+    (name,) = _pick(columns, rng, "load")
+    inner = columns[name].course
+    since = world.time[int(rng.uniform(0.25, 0.75) * world.time.size)]
+    course = times(inner, lambda w, t: (t >= since).astype(np.float64))
+    return Drawn((Part(course, direction(rng)),), (name,), {"since": str(since)})
+
+
 def two_at_once(world: World, columns: Mapping[str, Column], rng: np.random.Generator) -> Drawn | None:
     """A load in sunlight, and the square of another column."""
     first, second = _gated(world, columns, rng, 0.0), squared(world, columns, rng)
@@ -286,6 +295,7 @@ FORMS: Mapping[str, Form] = {
         turning,
         along_the_stars,
         two_at_once,
+        from_a_time_on,
     )
 }
 

@@ -28,12 +28,14 @@ from withheld_cases.twins import left, residual
 
 TOLD = "compared"
 RIVALS = {"lasso": "lasso (scikit-learn)", "sindy": "STLSQ (pysindy)"}
+_TIMED = ("since ", "until ")
 _DONE = ("not", "cos", "sin", "cos2", "sin2", "e")
 
 
 def quantities(factors: Iterable[str]) -> set[str]:
     """Recorded columns and geometry that factors are made of."""
-    return {name for factor in factors for name in re.findall(r"[A-Za-z]\w*", factor) if name not in _DONE}
+    plain = [factor for factor in factors if not factor.startswith(_TIMED)]
+    return {name for factor in plain for name in re.findall(r"[A-Za-z]\w*", factor) if name not in _DONE}
 
 
 def columns(names: Iterable[str]) -> set[str]:
@@ -81,6 +83,11 @@ def right_form(case: Judged) -> bool:
 
 def _shape(case: Judged, terms: Sequence[dict[str, Any]], joined: str) -> bool:
     form, label = case.sealed.get("form") or {}, str(case.sealed["label"])
+    times = [factor for term in terms for factor in term["of"] if factor.startswith(_TIMED)]
+    if "since" in form:  # as for levels, nothing is asked of the value: the other day asks it
+        return bool(times) and all(factor.startswith("since ") for factor in times)
+    if times:
+        return False
     if "level" in form:
         return ">" in joined
     if "power" in form and "^2" not in joined:
@@ -173,6 +180,9 @@ def features(record: Telemetry, sealed: dict[str, Any]) -> FloatArray:
         courses = [np.cos(turn), np.sin(turn)]
     elif label == "along_the_stars":
         courses = [one, np.ones_like(one)] if affine else [one]
+    elif label == "from_a_time_on":
+        on = (record.time >= np.datetime64(form["since"])).astype(float)
+        courses = [one * on, on] if affine else [one * on]
     else:
         courses = [one * other, other, *([one] if label == "two_columns" else [])] if affine else [one * other]
     if label == "two_at_once":

@@ -16,8 +16,9 @@ from fluxtwin.gap.hypotheses.conditions import LEAST_SHARE
 from fluxtwin.gap.hypotheses.perturbed_design import PerturbedDesign, alike
 from fluxtwin.gap.problem.problem import Problem
 from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.effects.drivers import varies
-from fluxtwin.sim.effects.law import ANGLES, FIELD, GEOMETRY, Axes, Law
+from fluxtwin.sim.effects.law import ANGLES, FIELD, GEOMETRY, Axes, Law, timed
 from fluxtwin.sim.effects.signal import Setting
 from fluxtwin.sim.effects.spacecraft_field import TYPICAL_NT, Driver
 from fluxtwin.sim.telemetry.quantities import DIPOLE, WHEELS
@@ -26,6 +27,8 @@ AXES: tuple[Axes, ...] = get_args(Axes)
 _SCALARS = ("heater_on", "array_current_A", "battery_current_A", "temperature_degC")
 _LEVELS = np.arange(1, 10) / 10.0
 """Quantiles of a column beyond which something may be on."""
+_PARTS = 5
+"""Of a record, at whose ends something that follows a column may go on or off: the times are then searched between them."""
 _QUARTER = {"cos": "sin", "sin": "cos", "cos2": "sin2", "sin2": "cos2"}
 _WAVES = tuple(_QUARTER)
 
@@ -90,6 +93,7 @@ class Grammar:
         for name in self.recorded:
             found += [Law(of=(name,), delay_s=d, lag_s=s) for d, s in self.late]
             found += [Law(of=(f"{name}{end}",)) for end in self._shapes(name)]
+            found += [Law(of=(name, *times)) for times in self._windows()]
         return found
 
     def products(self) -> list[Law]:
@@ -108,13 +112,41 @@ class Grammar:
         if law.of[0].removeprefix("not ") in self.recorded:
             found += [replace(law, delay_s=d, lag_s=s) for d, s in ((0.0, 0.0), *self.late)]
             found += [replace(law, of=(f"{law.of[0]}{end}", *law.of[1:])) for end in self._shapes(law.of[0])]
-        if len(law.of) == 2:
+        if len(law.of) == 2 and not timed(law.of[1]):
             found += [replace(law, of=(law.of[0],)), Law(of=(law.of[1],), axes=law.axes)]
             if law.of[1].removeprefix("not ") in self.recorded:
                 swapped = replace(law, of=(law.of[1], law.of[0]))
                 found += [replace(swapped, delay_s=d, lag_s=s) for d, s in self.late]
                 found += [replace(law, of=(law.of[0], f"{law.of[1]}{end}")) for end in self._shapes(law.of[1])]
         return [one for one in found if one != law]
+
+    def _timed(self, sense: str, row: int) -> str:
+        return f"{sense} {epoch.iso(self.setting.time[row], 'ms')}".replace(".000Z", "Z")
+
+    def _windows(self) -> Iterator[tuple[str, ...]]:
+        """Every run of parts of the record but the whole, by its times."""
+        ends = [number * self.setting.time.size // _PARTS for number in range(_PARTS + 1)]
+        for first, last in combinations(range(_PARTS + 1), 2):
+            since = (self._timed("since", ends[first]),) if first else ()
+            until = (self._timed("until", ends[last]),) if last < _PARTS else ()
+            if since or until:
+                yield (*since, *until)
+
+    def halves(self) -> list[int]:
+        """Rows by which a time is moved: from half a part of the record down to one."""
+        first = max(self.setting.time.size // (2 * _PARTS), 1)
+        return [first >> number for number in range(first.bit_length())]
+
+    def retimed(self, law: Law, rows: int) -> list[Law]:
+        """The same term with one of its times so many rows earlier or later."""
+        found: list[Law] = []
+        for number, factor in enumerate(law.of):
+            if switched := timed(factor):
+                row = int(np.searchsorted(self.setting.time, switched[1]))
+                moved = [one for one in (row - rows, row + rows) if 0 < one < self.setting.time.size]
+                of = [(*law.of[:number], self._timed(switched[0], one), *law.of[number + 1 :]) for one in moved]
+                found += [replace(law, of=one) for one in of]
+        return found
 
     def turning(self) -> list[str]:
         """Waves of recorded angles."""

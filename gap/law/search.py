@@ -116,7 +116,10 @@ class Regression:
         return sorted(every, key=lambda one: -self.order(one, left, wider))
 
     def moved(self, start: Trial, left: ProjectedResidual) -> Trial:
-        """A term with its settings where the data want them: those of the grammar twice in turn, then between them."""
+        """A term with its settings where the data want them: those of the grammar twice in turn, then between them.
+
+        Times at which something goes on or off are searched by halves, down to a row.
+        """
         best = self._better(start, [start.law], left)
         for _ in range(2):
             again = self._better(best, self.grammar.variants(best.law), left)
@@ -128,6 +131,8 @@ class Regression:
                 law = best.law
                 moved = [replace(law, delay_s=law.delay_s * step), replace(law, lag_s=law.lag_s * step)]
                 best = self._better(best, [one for one in moved if one != law], left)
+        for rows in self.grammar.halves():
+            best = self._better(best, self.grammar.retimed(best.law, rows), left)
         return best
 
     def _better(self, best: Trial, laws: Sequence[Law], left: ProjectedResidual) -> Trial:
@@ -214,5 +219,5 @@ def _members(chosen: Sequence[Terms]) -> list[Law]:
 def _settings(terms: Terms) -> int:
     """How much there is to terms: factors, what is done to them, delay, lag, a frame not the body's, lower orders."""
     law = terms[0]
-    done = sum(factor != name for factor, name in zip(law.of, law.quantities(), strict=True))
+    done = sum(factor not in law.quantities() for factor in law.of)
     return len(law.of) + done + bool(law.delay_s) + bool(law.lag_s) + (law.axes != "body") + len(terms) - 1

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from fluxtwin.calib.common.digits import measured
 from fluxtwin.gap.records.diagnosis import Law, LawTerm
-from fluxtwin.sim.effects.law import FIELD, GEOMETRY
+from fluxtwin.sim.effects.law import FIELD, GEOMETRY, timed
 from fluxtwin.sim.effects.law import Law as LawEffect
 
 _UNITS = {
@@ -21,7 +21,7 @@ _UNITS = {
     "field": "uT",
     "driver": "unit",
 }
-_SWITCHES = ("not", "cos", "sin", "cos2", "sin2")
+_SWITCHES = ("not", "cos", "sin", "cos2", "sin2", "since", "until")
 _NAMES = {
     "array_current_A": "array current",
     "battery_current_A": "battery current",
@@ -68,6 +68,8 @@ def with_names(laws: Iterable[LawEffect]) -> list[LawEffect]:
 
 def factor(text: str) -> str:
     """One factor, to read."""
+    if timed(text):
+        return f"1 {gate(text)}"
     done, _, name = text.rpartition(" ")
     name, power = (name[:-2], name[-2:]) if name[-2:] in ("^2", "^3") else (name, "")
     name, above, level = name.partition(">")
@@ -80,12 +82,17 @@ def factor(text: str) -> str:
 
 def recorded(text: str) -> bool:
     """Whether a factor is of a recorded column."""
+    if timed(text):
+        return False
     name = re.split(r"[>^]", text.rpartition(" ")[2])[0]
     return name not in GEOMETRY and name not in FIELD
 
 
 def gate(text: str) -> str | None:
     """A second factor that switches, to read; None where it is another one."""
+    if timed(text):
+        sense, _, time = text.partition(" ")
+        return f"from {time} on" if sense == "since" else f"until {time}"
     plain = text.removeprefix("not ")
     if plain == "sunlit":
         return "in sunlight only" if text == plain else "in shadow only"

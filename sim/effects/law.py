@@ -2,7 +2,8 @@
 
 A factor is a quantity with what is done to it: `driver_payload`, `driver_payload^2`, `not sunlit`, `temperature_degC>21.5`,
 `cos orbit_phase`, `sin2 local_time`. Quantities are recorded columns by their telemetry names (components: `dipole_x`,
-`wheel_1`) and those of `GEOMETRY`.
+`wheel_1`) and those of `GEOMETRY`. `since 2026-03-05T01:00:00Z` is 0 before that time and 1 from it on, `until ...` the
+reverse: a switch that nobody recorded.
 """
 
 from __future__ import annotations
@@ -19,13 +20,14 @@ from scipy.spatial.transform import Rotation
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.late import late
 from fluxtwin.sim.base.types import FloatArray
-from fluxtwin.sim.earth import frames
+from fluxtwin.sim.earth import epoch, frames
 from fluxtwin.sim.effects.base import Parameter, SignalEffect, vector_parameters
 from fluxtwin.sim.effects.drivers import lit, sun_in_body
 from fluxtwin.sim.effects.signal import Setting, Signal
 
 Axes = Literal["body", "orbital", "inertial", "earth"]
 _FACTOR = re.compile(r"(?:(not|cos|sin|cos2|sin2) )?([A-Za-z]\w*)(?:\^([23])|>(-?[\d.]+(?:e[+-]?\d+)?))?")
+_TIMED = re.compile(r"(since|until) (\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(?:\.\d{1,9})?)Z")
 _VECTORS = {"dipole": ("dipole_B_Am2", "xyz"), "wheel": ("wheel_speed_rpm", "123456789")}
 
 
@@ -131,8 +133,8 @@ class Law(SignalEffect):
         return ()
 
     def quantities(self) -> tuple[str, ...]:
-        """What the factors are made of. Raises BadInput for one that cannot be read."""
-        return tuple(_parsed(factor)[1] for factor in self.of)
+        """What the factors are made of, times left out. Raises BadInput for one that cannot be read."""
+        return tuple(_parsed(factor)[1] for factor in self.of if not timed(factor))
 
     def values(self, setting: Setting, field_B_nT: FloatArray, later_s: float | FloatArray = 0.0) -> FloatArray | None:
         """(N,) the product, `later_s` after the stamps as far as it is late; None where a column is missing.
@@ -141,6 +143,10 @@ class Law(SignalEffect):
         """
         product = np.ones(setting.time.size)
         for number, factor in enumerate(self.of):
+            if switched := timed(factor):
+                on = setting.seconds + later_s >= epoch.seconds_since(switched[1], setting.time[0])
+                product = product * (on if switched[0] == "since" else ~on)
+                continue
             done, name, power, level = _parsed(factor)
             column = quantity(setting, field_B_nT, name)
             if column is None:
@@ -179,10 +185,16 @@ class Law(SignalEffect):
         return signal.with_stray(vector if turn is None else turn.apply(vector))
 
 
+def timed(factor: str) -> tuple[str, np.datetime64] | None:
+    """`since` or `until`, and the time; None for a factor that is not of the time."""
+    found = _TIMED.fullmatch(factor)
+    return None if found is None else (found.group(1), epoch.parse_time(found.group(2)))
+
+
 def _parsed(factor: str) -> tuple[str | None, str, str | None, str | None]:
     found = _FACTOR.fullmatch(factor)
     if found is None:
-        wanted = "a quantity as driver_payload, driver_payload^2, not sunlit, temperature_degC>21.5 or cos orbit_phase"
+        wanted = "a quantity as driver_payload^2, not sunlit, temperature_degC>21.5 or cos orbit_phase, or since TIME"
         raise BadInput(f"factor {factor!r}", where="law of", wanted=wanted)
     done, name, power, level = found.groups()
     return done, str(name), power, level

@@ -111,6 +111,24 @@ def test_a_product_that_is_late_is_found_with_its_coefficients() -> None:
     assert "driver_payload" in found.sentence and "in sunlight only" in found.sentence
 
 
+def test_a_load_that_acts_from_an_unrecorded_time_on_is_found_with_the_time() -> None:
+    record, first, last = flown(), 190, 533
+    rows = np.arange(len(record))
+    on = (rows >= first) & (rows < last)
+    heat = record.drivers["heat"]
+    found = diagnose(added(record, np.outer(heat * on, 0.5 * K_NT)), load_field(), budget=BUDGET)
+    assert found.law is not None and found.law.terms, found.sentence
+    (term,) = [one for one in found.law.terms if "driver_heat" in one.of]
+    times = {sense: np.datetime64(text[:-1]) for sense, _, text in (one.partition(" ") for one in term.of[1:])}
+    # The residual of a row is three times the noise there: a row or two either way look alike.
+    for sense, row in (("since", first), ("until", last)):
+        off_s = (times[sense] - record.time[row]) / np.timedelta64(1, "s")
+        assert abs(off_s) <= 3 * STEP_S, (sense, off_s)
+    for axis, k in zip("xyz", 0.5 * K_NT, strict=True):
+        value, sigma = term.coefficients[axis]
+        assert sigma is not None and abs(value - k) < 4.0 * sigma, axis
+
+
 def test_the_json_keeps_the_schema_and_says_nothing_where_there_is_no_gap() -> None:
     told = gated()[1].to_dict()
     Draft202012Validator(diagnosis_schema()).validate(told)
@@ -230,7 +248,7 @@ def test_a_delay_and_a_lag_are_moved_by_ratios() -> None:
         tried.extend((one.delay_s, one.lag_s) for one in laws)
         return best
 
-    search: Any = SimpleNamespace(_better=better, grammar=SimpleNamespace(variants=lambda law: []))
+    search: Any = SimpleNamespace(_better=better, grammar=SimpleNamespace(variants=lambda law: [], halves=list))
     start: Any = SimpleNamespace(law=effect.Law(of=("a",), delay_s=40.0, lag_s=10.0))
     Regression.moved(search, start, search)
     ways = [way for ratio in RATIOS for way in (ratio, 1.0 / ratio)]

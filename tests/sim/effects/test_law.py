@@ -106,6 +106,18 @@ def test_it_is_never_proposed_and_survives_a_scenario(record: Telemetry) -> None
     assert effect == law and theta.tolist() == K.tolist()
 
 
+def test_a_factor_of_the_time_switches_at_that_row_and_survives_a_scenario(record: Telemetry, chain: Chain) -> None:
+    since, until = (f"{np.datetime_as_string(record.time[row], unit='ms')}Z" for row in (10, 30))
+    law = Law("relay", ("driver_heat", f"since {since}", f"until {until}"))
+    rows = np.arange(len(record))
+    whole = field_nT(chain, Law(of=("driver_heat",)))
+    np.testing.assert_array_equal(field_nT(chain, law), whole * ((rows >= 10) & (rows < 30))[:, None])
+    text = parse_scenario(scenario_text("")).updated({"effects.law.relay": effect_section(law, K)}).to_toml()
+    assert active_effects(parse_scenario(text))[0][0] == law
+    with pytest.raises(BadInput, match="factor 'since noon'"):
+        Law(of=("since noon",)).quantities()
+
+
 def test_what_cannot_be_read_or_is_missing_is_said(chain: Chain) -> None:
     with pytest.raises(BadInput, match="factor 'driver_heat plus one'"):
         Law(of=("driver_heat plus one",)).quantities()

@@ -102,8 +102,8 @@ def campaign_page(flown: Campaign) -> Page:
     said = sentences(summary)
     figure = power_figure(flown)
     caption = (
-        "Ticks: single runs, at the top if the effect was named. Dots: shares with 95 % intervals. Curve: a logistic "
-        "function of the logarithm of the size."
+        "Ticks: single runs, at the top if the effect was named. Dots: shares with 95 % intervals. Curve, where the runs "
+        "determine one: a logistic function of the logarithm of the size."
     )
     return Page(
         title=f"{summary['runs']} runs of {summary['name'] or 'a scenario'}",

@@ -1,4 +1,4 @@
-"""What a check found as a page and as a table: the traps, then the readings beside the model."""
+"""What a check found as a page and as a table: the traps, then what was measured and predicted."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def check_page(
         next_step=again if found.traps else f"fluxtwin calibrate {shlex.quote(str(path))} {reading}",
         sections=[
             PageSection("What was found", [], [findings_table(found)]),
-            PageSection("The readings beside the model", *_readings(record, model)),
+            PageSection("Measured and predicted", *_readings(record, model)),
         ],
         provenance={"source": found.source, "rows": str(found.samples), "field model": model.name},
     )

@@ -108,8 +108,7 @@ def _sentences(diagnosis: Diagnosis) -> list[str]:
 
 def _rest(diagnosis: Diagnosis) -> list[PageSection]:
     """What the answer says beyond its first sentence, and no later section says again."""
-    law = "" if diagnosis.law is None else diagnosis.law.sentence
-    rest = [one for one in _sentences(diagnosis)[1:] if one not in law and not one.startswith("It resembles ")]
+    rest = [one for one in _sentences(diagnosis)[1:] if not one.startswith("It resembles ")]
     rest = [*what_lines(diagnosis), *rest, *second_lines(diagnosis)]
     return [PageSection("What it means", rest)] if rest else []
 
@@ -249,7 +248,7 @@ def _law(diagnosis: Diagnosis) -> list[PageSection]:
         return []
     title = "A law for what the catalogue does not explain"
     if not law.terms:
-        return [PageSection(title, [law.sentence], [looked_at_table(law)] if law.looked_at else [])]
+        return [PageSection(title, [], [looked_at_table(law)])] if law.looked_at else []
     from fluxtwin.plots.gap import draw_law
 
     caption = (
@@ -257,7 +256,7 @@ def _law(diagnosis: Diagnosis) -> list[PageSection]:
         "Circles: means of equal counts, with their standard error. Line: the term."
     )
     figures = [FigureBlock("gap_law", caption, draw_law(law.fitted))] if law.fitted else []
-    return [PageSection(title, [law.sentence], [law_table(law)], figures)]
+    return [PageSection(title, [], [law_table(law)], figures)]
 
 
 def law_table(law: Law) -> Table:

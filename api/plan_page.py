@@ -52,7 +52,7 @@ def plan_table(plan: Plan | CalibrationPlan) -> Table:
             [_words(one), f"{one.hours:.2g}", f"{one.sigma:.2g}", f"{one.sigma / plan.sigma:.2f}"]
             for one in plan.courses
         ]
-        columns = ["manoeuvre", "hours [h]", f"sigma of {plan.worst}{unit}", "of today's"]
+        columns = ["manoeuvre", "time [h]", f"sigma of {plan.worst}{unit}", "of today's"]
         note = "Predicted for record and manoeuvre calibrated together, with the errors found in this record."
         return Table("What to fly", columns, lines, note)
     rows = []
@@ -67,7 +67,7 @@ def plan_table(plan: Plan | CalibrationPlan) -> Table:
             rows.append([name, *_flown(best), f"{100 * best.power:.0f}"])
     return Table(
         "What to fly",
-        ["open question", "manoeuvre", "hours [h]", "power [%]"],
+        ["open question", "manoeuvre", "time [h]", "power [%]"],
         rows,
         "With several names the question is which of them it is; with one name, whether it is present at its typical size. "
         "Power: probability that a diagnosis of the manoeuvre, with the noise of this record, gives the right answer (the "
@@ -84,7 +84,7 @@ def answers_table(question: Question) -> Table:
     ]
     return Table(
         f"What the answers would mean: {question.words}",
-        ["manoeuvre", "hours [h]", "if it is", "power [%]", "answer"],
+        ["manoeuvre", "time [h]", "if it is", "power [%]", "answer"],
         rows,
     )
 

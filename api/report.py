@@ -25,10 +25,18 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from fluxtwin.plots.time_series import TimeSeries
-    from fluxtwin.scenarios.page import FigureBlock, Page
+    from fluxtwin.scenarios.page import FigureBlock, Page, Table
 
 FIGURE_DPI = 140
 _HYPHENED = re.compile(r"(--\w[\w-]*|\b\w+(?:-\w+)+\b)")
+_UNITS = r"%|(?:[nµu]T|mG|deg|[mu]?s|min|h|[km]?m|m?Hz|rpm|MB|m?A|rad)\b"
+TOGETHER = re.compile(
+    rf"(?<=\d) (?={_UNITS}|± )|(?<=±) |(?<=[\d%]) (?=(?:of|to) -?\d)|(?<=[\d%] (?:of|to)) (?=-?\d)|(?<=\w) (?=x\d)"
+    r"|(?<=\bstatus) (?=\d)|(?<=\bN) (?=m\b)|(?<=N m) (?=s\b)|(?<=[Ag]) (?=m2\b)"
+)
+"""Spaces at which no line of a page ends."""
+POWER = re.compile(r"(?<=[|;>\w)])\^(-?\d+)")
+_TELEPHONE = 46  # letters in a row of a table on a telephone of 390 px
 _READABLE_PX = 9.1  # of the smallest text of a figure, on whatever screen; its frame takes a little
 
 
@@ -97,13 +105,29 @@ def _smallest(figure: Figure) -> float:
     return min((float(text.get_fontsize()) for text in seen), default=8.0)
 
 
-def _whole(text: str) -> str:
+def _command(text: str) -> str:
     """The text as HTML: words that stay on one line though they have a hyphen, lines that may end behind an underscore."""
     parts = [
         f'<span class="whole">{part}</span>' if k % 2 else part.replace("_", "_<wbr>")
         for k, part in enumerate(_HYPHENED.split(escape(clean(text))))
     ]
     return "".join(parts)
+
+
+def _whole(text: str) -> str:
+    """As `_command`, with powers raised and numbers beside their units, which no shell would take."""
+    return POWER.sub(r"<sup>\1</sup>", _command(TOGETHER.sub("\u00a0", text)))
+
+
+def _broad(table: Table) -> bool:
+    """Whether a table is broader than a telephone: then each row is a block there. A matrix of numbers stays one."""
+    columns = [[shown(row[k]) for row in table.rows] for k in range(len(table.columns))]
+    least = 24 if len(columns) > 3 else 60
+    if any(" " in text and len(text) > least for column in columns for text in column):
+        return True
+    texts = [" ".join([name, *column]) for name, column in zip(table.columns, columns, strict=True)]
+    words = [TOGETHER.sub("\u00a0", text).replace("_", "_ ").split(" ") for text in texts]
+    return len(columns) <= 8 and sum(max(map(len, column)) + 2 for column in words) > _TELEPHONE  # 2: its margins
 
 
 def _titled(text: str) -> list[tuple[str, str]]:
@@ -133,7 +157,15 @@ def _parts() -> tuple[Template, str, str]:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    filters: dict[str, Any] = {"shown": shown, "clean": clean, "whole": _whole, "titled": _titled, "drawn": _shown}
+    filters: dict[str, Any] = {
+        "shown": shown,
+        "clean": clean,
+        "whole": _whole,
+        "command": _command,
+        "titled": _titled,
+        "drawn": _shown,
+    }
+    filters["broad"] = _broad
     filters["download"] = _download
     environment.filters.update(filters)
     environment.tests["numeric"] = is_number

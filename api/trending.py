@@ -13,7 +13,7 @@ from fluxtwin.calib.common.records import Calibration
 from fluxtwin.calib.methods import with_options
 from fluxtwin.notebook import usual
 from fluxtwin.scenarios.page import FigureBlock, Page, PageSection, Table
-from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.errors import BadInput, NoAnswer
 from fluxtwin.sim.base.progress import Progress
 from fluxtwin.sim.earth.field_models import FieldModel
 from fluxtwin.sim.telemetry.record import Telemetry
@@ -61,7 +61,10 @@ def trend(
     parts = records if hours is None else [part for record in records for part in _cut(record, hours)]
     for place, part in enumerate(parts):
         progress(f"calibrating {place + 1} of {len(parts)}", place / len(parts))
-        known.append(calibrate(part, field=field, degree=degree, **options).calibration)
+        fit = calibrate(part, field=field, degree=degree, **options)
+        if fit.verdict is not None and fit.verdict.impossible:
+            raise NoAnswer(f"telemetry from {np.datetime_as_string(part.time[0], 's')}Z: {fit.verdict.lines[0]}")
+        known.append(fit.calibration)
     return found(known)
 
 

@@ -14,6 +14,7 @@ from pygments.lexers import TextLexer
 from sphinx.application import Sphinx
 
 import fluxtwin
+from fluxtwin.report import POWER, TOGETHER
 
 HERE = Path(__file__).resolve().parent
 project = "fluxtwin"
@@ -36,12 +37,6 @@ autodoc_typehints = "none"
 autodoc_member_order = "bysource"
 add_module_names = False
 
-UNITS = r"%|(?:[nµu]T|mG|deg|[mu]?s|min|h|[km]?m|m?Hz|rpm|MB|m?A|rad)\b"
-TOGETHER = re.compile(
-    rf"(?<=\d) (?={UNITS})|(?<=[\d%]) (?=(?:of|to) -?\d)|(?<=[\d%] (?:of|to)) (?=-?\d)|(?<=\w) (?=x\d)"
-    r"|(?<=\bstatus) (?=\d)|(?<=\bN) (?=m\b)|(?<=N m) (?=s\b)|(?<=[Ag]) (?=m2\b)"
-)
-POWER = re.compile(r"(?<=[\w)])\^(-?\d+)")
 RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 MINUS = re.compile(r"(?<=[\de])-(?=\d)")
 LONG = re.compile(r"[\w.:/|,]{25,}(?![^<]*>)")

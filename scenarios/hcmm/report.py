@@ -147,7 +147,7 @@ def _diagnosed(found: Diagnosis | None) -> str:
 
 def _value(name: str, parameter: EffectParameter) -> str:
     sigma = "" if parameter.sigma is None else f" ± {parameter.sigma:.2g}"
-    return f"{name} {parameter.value:.3g}{sigma} {parameter.unit}"
+    return f"{name} {parameter.value:.3g}{sigma}{'' if parameter.unit == '1' else f' {parameter.unit}'}"
 
 
 def _rounded(value: float, sigma: float | None) -> str:

@@ -164,6 +164,9 @@ def test_telemetry_is_cut_by_days(tmp_path: Path, cli: Cli) -> None:
     found = fluxtwin.trend(record, parameters="b")
     assert found.holds and len(found.time) == 2  # the hour is of the second day
     assert cli("trend", tmp_path / "t.nc", "--every", "-1").status == 2
+    fluxtwin.write(record.replace(mag_B_nT=-record.mag_B_nT), tmp_path / "wrong.nc")
+    done = cli("trend", tmp_path / "wrong.nc")
+    assert done.status == 1 and done.err.count("telemetry from 2026-03-01T00:00:00Z: Bad: not a calibration.") == 1
 
 
 def test_calibrations_that_cannot_be_compared_are_refused() -> None:

@@ -81,7 +81,8 @@ def campaign(
         require_same(plan, folder, RECORD)
     write_record(plan, folder, RECORD)
     known = {number: rows for number in range(plan.chunks) if (rows := _kept(plan, folder, number)) is not None}
-    calls = [(plan.record(), number) for number in range(plan.chunks) if number not in known]
+    record = plan.record()
+    calls = [(record, number) for number in range(plan.chunks) if number not in known]
     begin, done = time.monotonic(), sum(map(len, known.values()))
     before = done
     for number, rows in answers(run_part, calls, jobs=jobs, scheduler=scheduler, executor=executor):

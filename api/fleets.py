@@ -18,11 +18,13 @@ from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.progress import Progress
 from fluxtwin.sim.base.workers import answers, require_workers
 from fluxtwin.sim.telemetry.telemetry_files import Readable
+from fluxtwin.verbs import as_record
 
 if TYPE_CHECKING:
     from fluxtwin.gap.fleet import Fleet
     from fluxtwin.gap.records.diagnosis import Diagnosis
     from fluxtwin.sim.scenario.scenario import Scenario
+    from fluxtwin.sim.telemetry.record import Telemetry
 
 
 @with_assumed
@@ -65,7 +67,7 @@ def diagnoses(
     """The diagnosis of each record by itself, in their order; options: of `diagnose`."""
     require_workers(jobs, scheduler)
     names = list(records)
-    calls = [(number, records[name], options) for number, name in enumerate(names)]
+    calls = [(number, as_record(records[name]), options) for number, name in enumerate(names)]
     found: dict[int, Diagnosis] = {}
     for number, diagnosis in answers(one, calls, jobs=jobs, scheduler=scheduler, executor=executor):
         found[number] = diagnosis
@@ -73,7 +75,7 @@ def diagnoses(
     return {name: found[number] for number, name in enumerate(names)}
 
 
-def one(number: int, record: Readable, options: Mapping[str, Any]) -> tuple[int, Diagnosis]:
+def one(number: int, record: Telemetry, options: Mapping[str, Any]) -> tuple[int, Diagnosis]:
     """The diagnosis of one vehicle, for a process anywhere; without the parts that only its own report needs."""
     from dataclasses import replace
 

@@ -287,15 +287,15 @@ def _ratio(ours: Callable[[], object], theirs: Callable[[], object], repeats: in
     return mine / max(other, 1e-9)
 
 
-def page(lines: Sequence[Line]) -> str:
-    """The table as Markdown."""
+def page(lines: Sequence[Line], how: str) -> str:
+    """The table as Markdown; how: under which load it was measured."""
     cpu = next((row.split(":")[1].strip() for row in _cpu() if row.startswith("model name")), platform.machine())
     head = [
         "# Speed",
         "",
         "Made by `python -m benchmarks --page docs/benchmarks.md` on",
-        f"{cpu}, {os.cpu_count()} cores, Python {platform.python_version()}, with other work running. Ratios compare runs",
-        "that alternate on the same machine; seconds are processor time.",
+        f"{cpu}, {os.cpu_count()} cores, Python {platform.python_version()}; {how}.",
+        "Ratios compare runs that alternate on the same machine; seconds are processor time.",
         "",
         "| work | measured | wanted | reached | what limits it |",
         "|---|--:|--:|---|---|",
@@ -303,6 +303,13 @@ def page(lines: Sequence[Line]) -> str:
     said = {True: "yes", False: "no", None: ""}
     rows = [f"| {a} | {b} | {c} | {said[reached]} | {why} |" for a, b, c, reached, why in lines]
     return "\n".join([*head, *rows, ""])
+
+
+def _how() -> str:
+    """What else the machine does at the start, and whether this run goes before it."""
+    group = Path("/proc/self/autogroup")
+    first = group.exists() and "nice -" in group.read_text(encoding="utf-8")
+    return f"load average {os.getloadavg()[0]:.0f} at the start{', this run at raised priority' if first else ''}"
 
 
 def _cpu() -> list[str]:
@@ -319,7 +326,7 @@ def main() -> None:
     parser.add_argument("--page", metavar="FILE", help="write the table as Markdown")
     parser.add_argument("--json", metavar="FILE", help="write the lines to FILE, or to standard output for -")
     arguments = parser.parse_args()
-    asked, lines = Asked(arguments.quick, arguments.basilisk), []
+    asked, lines, how = Asked(arguments.quick, arguments.basilisk), list[Line](), _how()
     for name in arguments.only or WORKS:
         for line in WORKS[name](asked):
             lines.append(line)
@@ -330,7 +337,7 @@ def main() -> None:
                     flush=True,
                 )
     if arguments.page:
-        files.write_text(arguments.page, page(lines))
+        files.write_text(arguments.page, page(lines, how))
     if arguments.json == "-":
         print(files.to_json([line._asdict() for line in lines]), end="")
     elif arguments.json:

@@ -55,7 +55,7 @@ def fluxtwin_command(
     quiet: QuietOption = False,
     verbose: VerboseOption = False,
 ) -> None:
-    """The digital twin of a spacecraft's attitude and magnetometer: simulate, calibrate, find the gap."""
+    """The digital twin of a spacecraft's attitude and magnetometer: simulate, calibrate, find what differs."""
     manners.quiet, manners.verbose = quiet, verbose
 
 

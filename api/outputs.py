@@ -118,7 +118,7 @@ def _fitting_name(path: Path, kind: Kind, where: str) -> None:
     if is_stream(path) or name.endswith(kind.endings) or (kind.others and not name.endswith(_ALL_ENDINGS)):
         return
     wanted = ", ".join(kind.endings)
-    raise BadInput(f"this is no name for {kind.words}", where=where, wanted=f"a name that ends in {wanted}")
+    raise BadInput(f"this is not a name for {kind.words}", where=where, wanted=f"a name that ends in {wanted}")
 
 
 def _free(path: Path, kind: Kind, where: str, force: bool) -> None:

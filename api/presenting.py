@@ -134,14 +134,14 @@ def _attitude(found: AttitudeSolution) -> Presented:
         "usable": f"Usable: the innovations are as predicted, but {'; '.join(found.limits)}",
         "bad": "Bad: the attitude does not hold",
     }[found.level]
-    aside = f"; {found.set_aside} set aside" if found.set_aside else ""
+    aside = f"; {found.set_aside} not used" if found.set_aside else ""
     nis = ", ".join(f"{sensor} {plain(value)}" for sensor, value in found.nis.items())
     sentences = [
         f"{head}. 1 sigma about body x, y, z: {degrees(True)} with the {found.aid}, {degrees(False)} without.",
         f"Used: {found.source} and the calibrated field{aside}.",
         *found.reasons,
-        f"Squared innovations over what was predicted (1 is right): {nis}; correlation of the field's from row to row "
-        f"{found.lag_correlation:.2f}.",
+        f"Squared innovations divided by their prediction (1 is right): {nis}; the field's have a correlation of "
+        f"{found.lag_correlation:.2f} from row to row.",
         f"Errors, 1 sigma, declared or found: {_sizes(found)}.",
     ]
     return Presented(sentences, [])

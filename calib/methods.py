@@ -92,7 +92,7 @@ def require(method: str | None, given: Mapping[str, Any]) -> None:
     Where no method is named the options are held against those of `linear`, which takes the most values.
     """
     if method is not None and method not in (*ESTIMATORS, ALL):
-        raise BadInput(f"{method!r} is no method", where="--method", wanted=" or ".join((*ESTIMATORS, ALL)))
+        raise BadInput(f"{method!r} is not a method", where="--method", wanted=" or ".join((*ESTIMATORS, ALL)))
     if method == ALL:
         return  # each method judges its own
     estimator = ESTIMATORS[method or "linear"]

@@ -130,9 +130,9 @@ def fleet(vehicles: Sequence[str], diagnoses: Sequence[Diagnosis]) -> Fleet:
     """What the diagnoses of V vehicles of one design say together. Raises BadInput for fewer than three."""
     if len(diagnoses) < 3:
         raise BadInput(
-            f"{len(diagnoses)} vehicles",
+            f"{len(diagnoses)} vehicle{'s' * (len(diagnoses) != 1)}",
             where="fleet",
-            wanted="three or more: with two, nothing says which one differs",
+            wanted="three or more, because of two nothing says which one differs",
         )
     named = [{name for found in one.effects for name in found.group} for one in diagnoses]
     tables = [_table(one, names) for one, names in zip(diagnoses, named, strict=True)]

@@ -45,7 +45,7 @@ def command(
 
         if (calibration is None) == (scenario is None):
             raise BadInput(
-                "wants one of them",
+                "one of them is needed",
                 where="--calibration, --scenario",
                 wanted="a calibration file, or a closed scenario",
             )

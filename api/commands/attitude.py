@@ -42,9 +42,9 @@ def command(
     degree: of.DegreeOption = None,
     reading: of.Reading = of.READING,
 ) -> None:
-    """Attitude by a Kalman filter on calibrated field, nadir, sun where seen, and dynamics without a gyro; its sigma [deg].
+    """Attitude and its sigma [deg] without a gyro: a Kalman filter of calibrated field, nadir and, where seen, the sun.
 
-    Where the innovations are not what was predicted, the exit status is 1; the table is written all the same.
+    Exit status 1 if the filter's innovations contradict its prediction; the table is written all the same.
     """
     with output.progress(f"reading {telemetry}") as progress:
         from fluxtwin import outputs, verbs
@@ -82,7 +82,7 @@ def _print(
         output.prose(line)
     output.say(f"Next: {_next_step(found, telemetry, calibration, out)}")
     output.say(
-        f"{len(found.time)} rows, {int((~found.aided).sum())} without {found.aid}; {int(found.inflated.sum())} stood out"
+        f"{len(found.time)} rows, {int((~found.aided).sum())} without {found.aid}; {int(found.inflated.sum())} outliers"
     )
     for reason, count in found.left_out.items():
         output.say(f"- {count} rows left out: {reason}")

@@ -73,7 +73,7 @@ def command(
 ) -> None:
     """Estimate S, b [nT] and T [nT/(A m2)] of A B0 = (I+S) B + b + T D, and say whether it is good.
 
-    A fit that no magnetometer can have ends with exit status 1 and leaves no calibration file, unless --force.
+    A bad fit ends with exit status 1 and, without --force, writes no calibration file.
     """
     with output.progress(f"reading {telemetry[0]}") as progress:
         from fluxtwin import outputs, verbs

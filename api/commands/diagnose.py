@@ -25,12 +25,12 @@ def command(
         list[Path],
         typer.Argument(
             metavar="TELEMETRY...",
-            help="A .nc, .csv or .csv.gz file, or a foreign one with --map; several are diagnosed one by one, or --fleet.",
+            help="A .nc, .csv or .csv.gz file, or a foreign one with --map; several: one by one, or with --fleet together.",
         ),
     ],
     scenario: Annotated[
         Path | None,
-        typer.Option(metavar="FILE.toml", help="Gives field model, starting calibration, noise and frozen effects."),
+        typer.Option(metavar="FILE.toml", help="The spacecraft: field model, first calibration, noise, known effects."),
     ] = None,
     modelled: of.ModelledOption = of.MODELLED,
     assumed: of.Assumed = of.ASSUMED,

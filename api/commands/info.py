@@ -38,7 +38,8 @@ def command(
 
 def _print(output: Output, one: Inventory) -> None:
     if one.unread:
-        output.prose(f"{one.source}: {one.rows} rows; no telemetry as it stands: {one.unread}")
+        why = one.unread.removeprefix(f"{one.source}: ")
+        output.prose(f"{one.source}: {one.rows} rows; not telemetry as it stands: {why}")
         output.table("", ("column", "unit"), [(column.name, column.unit) for column in one.columns])
         if " beside the readings" not in one.unread:
             output.say(f"Next: fluxtwin map {one.source} --out map.toml")

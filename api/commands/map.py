@@ -25,7 +25,7 @@ def command(
         Path | None, typer.Option(metavar="FILE.toml", help="Where to write the map; otherwise it is printed.")
     ] = None,
 ) -> None:
-    """Guess what the columns are from their names and sizes; whatever was guessed is marked "to be confirmed".
+    """Guess what the columns are from their names and values; whatever was guessed is marked "to be confirmed".
 
     Confirm or correct each guess, then run `fluxtwin check FILE --map MAP`, which says whether they were right.
     """

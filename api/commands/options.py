@@ -171,8 +171,8 @@ class _Common(NamedTuple):
         bool,
         typer.Option(
             "--force",
-            help="Override a refusal that names --force, such as that of a file that fluxtwin did not write. Inputs are "
-            "never overwritten.",
+            help="Do what a message refuses without --force, such as replacing a file that fluxtwin did not write. "
+            "Inputs are never overwritten.",
         ),
     ] = False
     json: Annotated[

@@ -257,7 +257,7 @@ def _what_shows(shows: dict[float, bool], shifts: dict[float, str], plain: Itera
     elif origin.position == "ITRS":
         meant = "Earth-fixed positions are kept"
     else:
-        meant = "positions relative to GCRS stay the same while the Earth turns under them"
+        meant = "GCRS positions are kept, the Earth turns under them"
     said: dict[str, list[str]] = {"would show": [], "would not show": [], "cannot be tested": []}
     for shift, words in ((s, shifts[s]) for s in sorted(shifts) if 1.0 < s < 1800.0 or s in (3600.0, 86400.0)):
         sides = [shows[side] for side in (shift, -shift) if side in shows]
@@ -268,7 +268,7 @@ def _what_shows(shows: dict[float, bool], shifts: dict[float, str], plain: Itera
     hidden = [abs(shift) for shift in plain if not shows.get(shift, False)]
     greatest = max(map(abs, plain))
     apart = shift_words(min(map(abs, plain)))
-    tried = f". The other shifts that were tried, up to {shift_words(greatest)} and {apart} apart, would "
+    tried = f". The other shifts that were tried, up to {shift_words(greatest)} in steps of {apart}, would "
     words = f"{tried}show if they were longer than {shift_words(max(hidden))}" if hidden else f"{tried}all show"
     words = "" if hidden and max(hidden) >= min(3600.0, greatest) else words
     shown = "; ".join(listed)

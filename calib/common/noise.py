@@ -98,7 +98,7 @@ def reading_noise(
     sigma = np.sqrt(variance)
     unsure = np.sqrt(np.diag(covariance)) / (2.0 * np.maximum(sigma, 1e-9))
     sizes = " / ".join(measured(float(s), float(u)) for s, u in zip(sigma, unsure, strict=True))
-    words = f"{sizes} nT from short differences of the residual, taken as white, for each axis; {lsb_words}"
+    words = f"{sizes} nT per axis, taken as white, from short differences of the residual; {lsb_words}"
     return ReadingNoise(variance, words, covariance)
 
 

@@ -205,7 +205,8 @@ def _error_words(errors: ErrorModel) -> str:
     low, high = errors.attitude_range_deg
     assert errors.attitude_sigma_deg is not None
     sigma = plain(errors.attitude_sigma_deg, 2)
-    memory = f"lasting {plain(errors.attitude_tau_s, 2)} s" if errors.attitude_tau_s else "white from row to row"
+    tau_s = errors.attitude_tau_s
+    memory = f"with a time constant of {plain(tau_s, 2)} s" if tau_s else "white from row to row"
     words = f"from noise and an attitude error of {sigma} deg (90 %: {plain(low, 2)} to {plain(high, 2)}), {memory}"
     expected_nT = errors.expected_rms_nT
     if plain(float(np.hypot(expected_nT, errors.slow_nT))) == plain(expected_nT):

@@ -235,7 +235,7 @@ def _section(effect: Effect, alike: dict[str, dict[str, dict[str, int]]]) -> lis
     if effect.follows:
         facts.append(f"follows {effect.follows}")
     if effect.equivalent_stages:
-        facts.append(f"could equally be at stage: {', '.join(effect.equivalent_stages)}")
+        facts.append(f"can look the same at stage: {', '.join(effect.equivalent_stages)}")
     return [
         f"### {effect.name}",
         "",

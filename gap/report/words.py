@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from fluxtwin.calib.common.digits import plain
 from fluxtwin.gap.detectors.residual_structure import Structure
 from fluxtwin.gap.noise.choice import NoiseModel
 from fluxtwin.gap.records.diagnosis import FoundEffect, MomentumGap, Place, Shrinkage
@@ -94,7 +95,7 @@ def percent(share: float) -> str:
 
 
 def located(where: Place) -> list[str]:
-    """Where the gap lies, with probabilities, and where else it could equally lie: a sentence each."""
+    """Where the gap lies, with probabilities, and which other stages can look the same: a sentence each."""
     parts = [
         f"{begins}{' or '.join(f'{_in_words(name)} ({percent(share)})' for name, share in shares.items())}"
         for kind, begins in _IN_WORDS.items()
@@ -102,7 +103,7 @@ def located(where: Place) -> list[str]:
     ]
     said = [f"Where: {', '.join(parts) or 'no particular place'}."]
     if equal := [stage for stage in where.equivalent if stage not in where.likely("stage")]:
-        said.append(f"On this orbit and attitude, it could equally be at stage {' or '.join(equal)}.")
+        said.append(f"On this orbit and attitude, a cause at stage {' or '.join(equal)} can look much the same.")
     return said
 
 
@@ -160,7 +161,7 @@ def not_tested(names: Sequence[str]) -> str:
 def _cause(effect: FoundEffect) -> str:
     known = {name: one for name, one in effect.parameters.items() if one.sigma is not None} or effect.parameters
     units = {name: "" if one.unit == "1" else f" {one.unit}" for name, one in known.items()}
-    sizes = ", ".join(f"{name} {one.value:.3g}{units[name]}" for name, one in list(known.items())[:3])
+    sizes = ", ".join(f"{name} {plain(one.value)}{units[name]}" for name, one in list(known.items())[:3])
     over = ""
     if "region_deg" in effect.settings:
         where = SwitchedField(str(effect.settings["condition"]), region_deg=tuple(effect.settings["region_deg"]))

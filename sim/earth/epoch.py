@@ -36,13 +36,13 @@ def parse_time(text: str, *, where: str = "time") -> np.datetime64:
     cleaned = raw[:-1] if raw.endswith(("Z", "z")) else raw
     # The pattern comes first: numpy would take other zones, and wrap years that nanoseconds cannot hold.
     if not _STAMP.fullmatch(cleaned):
-        raise BadInput(f"{raw!r} is no time", where=where, wanted=wanted)
+        raise BadInput(f"{raw!r} is not a time", where=where, wanted=wanted)
     if not _FIRST_YEAR <= int(cleaned[:4]) <= _LAST_YEAR:
         raise BadInput(f"{raw!r} is out of range", where=where, wanted=f"{_FIRST_YEAR} to {_LAST_YEAR}")
     try:
         return np.datetime64(cleaned.replace(" ", "T"), "ns")
     except ValueError:
-        raise BadInput(f"{raw!r} is no time", where=where, wanted=wanted) from None
+        raise BadInput(f"{raw!r} is not a time", where=where, wanted=wanted) from None
 
 
 def as_times(time: TimeArray | np.datetime64) -> TimeArray:

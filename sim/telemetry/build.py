@@ -228,8 +228,14 @@ def _binary(name: str, value: FloatArray, where: str) -> None:
 def _missing_rows(fields: dict[str, FloatArray]) -> list[str]:
     total = max((len(value) for value in fields.values()), default=0)
     some = {name: value for name, value in fields.items() if np.isnan(np.min(value, initial=0.0))}
-    missing = {name: int(np.isnan(value).reshape(total, -1).any(axis=1).sum()) for name, value in some.items()}
+    missing = {_column(name): int(np.isnan(value).reshape(total, -1).any(axis=1).sum()) for name, value in some.items()}
     if len(missing) == 1:
         return [f"{name} is missing in {count} of {total} rows" for name, count in missing.items()]
     listed = ", ".join(f"{name} in {count}" for name, count in missing.items())
     return [f"missing of {total} rows: {listed}"] if missing else []
+
+
+def _column(name: str) -> str:
+    """What a file calls a field of the record: of a vector its first column."""
+    written = BY_NAME[name].written if name in BY_NAME else (name,)
+    return written[0] + " ..." * (len(written) > 1)

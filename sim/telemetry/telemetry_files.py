@@ -172,4 +172,4 @@ def refuse_toml(path: Path | str) -> None:
     """Raises BadInput for what by its name is a scenario, a calibration or a column map."""
     if Path(path).name.lower().endswith(".toml"):
         wanted = f"a {_SUFFIXES} file; `fluxtwin simulate` makes one from a scenario"
-        raise BadInput("is no telemetry: a scenario, a calibration or a column map", where=str(path), wanted=wanted)
+        raise BadInput("is not telemetry but a scenario, a calibration or a column map", where=str(path), wanted=wanted)

@@ -412,7 +412,7 @@ def test_a_place_is_a_sentence() -> None:
     place = Place("field", "all", "earth", "driver:payload", ["sensor", "field"], shares)
     assert located(place) == [
         "Where: at stage field (36 %), on all axes (> 99 %), in Earth-fixed axes (6 %), depending on driver_payload (80 %).",
-        "On this orbit and attitude, it could equally be at stage sensor.",
+        "On this orbit and attitude, a cause at stage sensor can look much the same.",
     ]
     nowhere = Place(None, None, None, None, [], {kind: {"none": 1.0} for kind in shares})
     assert located(nowhere) == ["Where: no particular place."]

@@ -101,7 +101,7 @@ def test_a_file_written_by_hand_needs_three_keys(tmp_path: Path) -> None:
         (('"blocks"', '"pink"'), "covariance_kind: 'pink' is not known"),
         (('"igrf1975"', "1975"), r"field_model: text is wanted \(found 1975\)"),
         (("1978-08-15T06:43:00Z", "1977-08-15T06:43:00Z"), "ends before it begins"),
-        (("1978-08-15T06:43:00Z", "yesterday"), "'yesterday' is no time"),
+        (("1978-08-15T06:43:00Z", "yesterday"), "'yesterday' is not a time"),
     ],
 )
 def test_what_is_refused(tmp_path: Path, change: tuple[str, str], words: str) -> None:

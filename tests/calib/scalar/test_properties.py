@@ -147,7 +147,7 @@ def test_one_record_whatever_the_method(record: Telemetry, model: FieldModel, tm
         ("scalar", {"noise_nT": -1.0}, "noise_nT"),
         ("scalar", {"block_s": 0.0}, "block_s"),
         ("scalar", {"robust": "cauchy"}, "robust"),
-        ("residg", {}, "is no method"),
+        ("residg", {}, "is not a method"),
     ],
 )
 def test_what_a_method_does_not_take(

@@ -395,7 +395,7 @@ def test_rows_before_a_time_do_not_count(tmp_path: Path) -> None:
         ("'VALID == 2'", "no row with a time is left where VALID == 2"),
         ("'VALID'", "compares no column"),
         ("'OTHER == 1'", "column OTHER is missing"),
-        ("\"time > 'soon'\"", "'soon' is no time"),
+        ("\"time > 'soon'\"", "'soon' is not a time"),
     ],
 )
 def test_rows_that_cannot_be_meant_are_refused(tmp_path: Path, where: str, said: str) -> None:

@@ -248,7 +248,7 @@ def test_what_we_write_is_what_brahe_reads(record: fluxtwin.Telemetry, tmp_path:
         (AEM.replace("1996-11-28T22:08:03.5555", "1996-367T22:08:03"), "no day of that year"),
         (AEM.replace("0.45689 0.68427", "0.45689"), "line 21.*at least 4"),
         (AEM.replace("0.56748", "abc"), "no row of numbers"),
-        (AEM.replace("1996-11-28T22:08:03.5555", "yesterday"), "'yesterday' is no time"),
+        (AEM.replace("1996-11-28T22:08:03.5555", "yesterday"), "'yesterday' is not a time"),
         (AEM[: AEM.index("DATA_START")], "holds no rows"),
     ],
 )

@@ -110,7 +110,7 @@ def test_a_record_with_every_column_reads_back_bit_equal(tmp_path: Path, name: s
     assert back.provenance["source"] == name
     assert len(back.provenance["sha256"]) == 64
     (said,) = (one for one in back.provenance["notices"].split("; ") if one.startswith("missing of 40 rows: "))
-    assert "mag_B_nT in 1," in said and f"driver_payload in {np.isnan(record.drivers['payload']).sum()}" in said
+    assert "mag_x_nT ... in 1," in said and f"driver_payload in {np.isnan(record.drivers['payload']).sum()}" in said
     assert back.driver_units == ({"payload": "A"} if name == "a.nc" else {})  # a CSV has no place for a unit
 
 

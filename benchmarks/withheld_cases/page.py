@@ -18,12 +18,14 @@ FIGURE = "withheld_confusion.png"
 _HEAD = """# Withheld effects: how often the diagnosis is right
 
 The records come from forward models that share no code with the effects of the catalogue, and the answers are
-sealed before the diagnosis runs. The worlds have orbits of 600 to 1200 km; nadir pointing, tumble, slews and spin;
-row spacings of 0.1 to 60 s; lengths from one orbit to two days; with or without housekeeping; and always a
-calibration error. "Visible" is what an effect leaves after the best re-estimation of `bias` and
-`scale_misalignment`, rms per component, divided by the rms of the noise. Effects "with a Jacobian" are those whose
-signature follows from the flight; of those "known by distribution" (noise, steps, walks, bits, ...) only the statistics
-do. `benchmarks/withheld.py` and `benchmarks/withheld_cases/` make and score the records.
+sealed before the diagnosis runs (`benchmarks/withheld.py`). The worlds have orbits of 600 to 1200 km; nadir pointing,
+tumble, slews and spin; row spacings of 0.1 to 60 s; one orbit to two days; with or without housekeeping; and always a
+calibration error.
+
+- *Visible*: rms per component of what an effect leaves after the best re-estimation of `bias` and `scale_misalignment`,
+  divided by the rms of the noise.
+- *With a Jacobian*: effects whose signature follows from the flight. *Known by distribution*: only the statistics do
+  (noise, steps, walks, bits, ...).
 """
 _DETAILS = """# Withheld effects, case by case
 
@@ -57,8 +59,7 @@ def page(cases: Sequence[Judged], void: int, run: dict[str, Any]) -> str:
         score.table([row for row in score.rows_of(cases) if row["of"]]),
         "## What was said of each effect",
         f"![What came first in the answer to each effect](images/{FIGURE})",
-        "Singles, new ones, other shapes and torques, by number of records. Beside a bar is what came first in place of the "
-        "effect; a name whose group holds the truth counts as the truth.",
+        "Records with one effect. Beside a bar is what came first instead; a group that contains the truth counts as right.",
         "## Stated probabilities",
         _reliability(cases),
         "## Outside the catalogue",
@@ -112,14 +113,14 @@ def _contents(cases: Sequence[Judged]) -> str:
 
 _BESIDE = {
     "nulls_undeclared": "Half of `nulls_undeclared` are the scenario of the README with seeds of their own.",
-    "nulls": "`nulls` goes through the regimes in turn, with everything declared: passes are arcs of ten minutes, hours "
-    "apart, with a sensor noise of 2 to 6 nT, an attitude error of 0.18 to 0.27 deg that wanders over 200 to 4000 s, and S "
-    'of 1.5 to 4 %; outliers are 10 to 100 times the noise, and "apart from these rows there is no gap" counts as no gap '
+    "nulls": "`nulls`, perfect flights with everything declared, goes through the regimes in turn. Passes are arcs of ten "
+    "minutes, hours apart, with a sensor noise of 2 to 6 nT, an attitude error of 0.18 to 0.27 deg that wanders over 200 to "
+    '4000 s, and S of 1.5 to 4 %. Outliers are 10 to 100 times the noise, and "no gap apart from these rows" is right '
     "there. `passes_only`, `short` and `coarse` have nothing declared.",
     "new_singles": "`new_singles` has effects that join the table with its next edition.",
     "outside_two": "`outside_two` and `singles_two` are the first flights of `outside` and `singles` once more, with a "
-    "second magnetometer of its own S, b, noise and steps: 0 to 70 % of the spacecraft's fields reach it, no fault of the "
-    "first sensor does.",
+    "second magnetometer of its own S, b, noise and steps. It has 0 to 70 % of the spacecraft's fields and no fault of the "
+    "first sensor.",
     "limits": "`limits` takes the smallest detectable size that the answer on a perfect flight prints for an effect, and "
     "flies it in the same world, in the parameter that is printed, with a random sign and other noise.",
     "undetermined": "`undetermined` are spins of 20 to 100 deg/s without attitude, with a body field of 1 to 2 gauss; where "

@@ -109,8 +109,8 @@ def outside_list(cases: Sequence[Judged]) -> str:
         lambda c: c.stage_right,
         lambda c: c.verdict == "no_gap",
     )
-    lines = ["| kind | of | unknown | stage right | no gap | wrongly named | why no entry can express it |"]
-    lines.append("|---|---|---|---|---|---|---|")
+    why = "what happens, and why no effect of the catalogue expresses it"
+    lines = [f"| kind | of | unknown | stage right | no gap | wrongly named | {why} |", "|---|---|---|---|---|---|---|"]
     for name, why in WHY.items():
         own = [c for c in mine if c.sealed["label"] == name]
         said = [str(entry["name"]) for c in own for entry in c.effects]

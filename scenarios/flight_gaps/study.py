@@ -164,10 +164,10 @@ def _swarm_rows(found: Sequence[Diagnosis]) -> list[list[Cell]]:
         ["stage", *(one.where.stage for one in found)],
         ["probability of that stage", *(round(_stage_share(one), 2) for one in found)],
         ["frame", *(one.where.frame for one in found)],
-        ["left", *map(_unnamed, found)],
+        ["residual structure", *map(_unnamed, found)],
         *ranked,
         ["rms before [nT]", *(round(one.gap.before_nT, 1) for one in found)],
-        ["floor [nT]", *(round(one.gap.floor_nT, 1) for one in found)],
+        ["expected [nT]", *(round(one.gap.floor_nT, 1) for one in found)],
         ["rows cut", *(one.samples["cut"] for one in found)],
     ]
 

@@ -178,7 +178,7 @@ def test_a_wrong_name_next_to_the_right_one_is_reported(quick: compute.Outcome) 
     answers = (eddy, spoilt, wrong, open_question)
     said = study.words().say("status", **study.counts(dataclasses.replace(quick, answers=answers)))
     assert said == (
-        "Of 3 answers on flown records 1 are as expected, 1 contain what was expected and a wrong name, and 1 are not as "
+        "Of 3 answers on flown records 1 are as expected, 1 contains what was expected and a wrong name, and 1 are not as "
         "expected."
     )
 

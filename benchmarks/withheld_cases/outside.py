@@ -299,7 +299,7 @@ WHY = {
     "plane_error": "a cross-track error once per orbit; no entry moves the position across",
     "longitude_error": "the position is rotated about the Earth's axis; no entry moves it across the orbit",
     "auroral_currents": "currents in two ovals, of both signs; a switched field is constant in the body and of one sign",
-    "wrong_coefficient": "one wrong coefficient of degree 2 to 4; field_epoch changes all, field_truncation the high degrees",
+    "wrong_coefficient": "one wrong coefficient of degree 2 to 4; field_epoch moves all, field_truncation the high degrees",
     "sq_dynamo": "currents below the orbit that stay under the sun; the ring current is above and follows the dipole",
     "plasma_depletions": "fields along B in plasma bubbles of the evening; no entry follows local time and latitude",
     "frame_of_date": "the reference axes are rotated by a constant in inertial axes, not in the body",

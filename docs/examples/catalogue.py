@@ -66,13 +66,15 @@ SETTINGS = {
         "`typical_nT_per_unit` (20) is for the diagnosis only"
     ),
     "law": (
-        "`[effects.law.NAME]`, where NAME is the setting `term`: a field in proportion to the product of the factors in "
-        '`of`, along the `axes` "body", "orbital", "inertial" or "earth". These can be factors: a recorded column '
-        "(`driver_NAME`, `flag_NAME`, `temperature_degC`, ..., `dipole_x`, `wheel_1`); `sunlit`, `sun_x`, `sun_height`; "
-        "`rate_x` [deg/s]; `field_x`, `field_size` [uT]; `one`. A factor may end in `^2`, `^3` or `>LEVEL` or begin with "
-        "`not`. `orbit_phase`, `local_time`, `latitude`, `longitude` and columns that end in _deg take `cos`, `sin`, "
-        "`cos2` or `sin2` before them. The first factor may be late by `delay_s` and have a first-order lag `lag_s`; "
-        "`typical_nT_per_unit` is for the diagnosis only"
+        "`[effects.law.NAME]`, where NAME is the setting `term`, is a field in proportion to the product of the factors "
+        'in the list `of`, along the `axes` "body", "orbital", "inertial" or "earth". The first factor may be late by '
+        "`delay_s` and smoothed by a first-order lag `lag_s`; `typical_nT_per_unit` is for the diagnosis only. A factor is\n"
+        "  - a recorded column (`driver_NAME`, `flag_NAME`, `temperature_degC`, `dipole_x`, `wheel_1`, ...);\n"
+        "  - `sunlit`, `sun_x`, `sun_height`, `rate_x` [deg/s], `field_x`, `field_size` [uT] or `one`;\n"
+        "  - one of these followed by `^2`, `^3` or `>LEVEL`, or after `not`;\n"
+        "  - `orbit_phase`, `local_time`, `latitude`, `longitude` or a column that ends in _deg, after `cos`, `sin`, `cos2` "
+        "or `sin2`;\n"
+        "  - a switch at a time, `since 2026-03-05T01:00:00Z` or `until 2026-03-05T01:00:00Z`"
     ),
     "heater_switching": (
         "if there is no column: `sequence`, 0 or 1 a row, or `switches_utc`, the times at which it goes "
@@ -274,14 +276,12 @@ def _size(key: Key) -> str:
 
 
 def _looks(name: str, alike: dict[str, dict[str, dict[str, int]]]) -> list[str]:
-    said = []
+    said: dict[str, list[str]] = {}
     for design, shares in alike.items():
-        others = sorted(shares.get(name, {}).items(), key=lambda one: -one[1])
-        if others:
-            said.append(
-                f"{design.capitalize()}: looks like {', '.join(f'`{one}` ({share} %)' for one, share in others)}."
-            )
-    return said
+        if others := sorted(shares.get(name, {}).items(), key=lambda one: -one[1]):
+            said.setdefault(", ".join(f"`{one}` ({share} %)" for one, share in others), []).append(design)
+    where = {them: "all designs" if len(one) == len(alike) else ", ".join(one) for them, one in said.items()}
+    return [f"{one.capitalize()}: looks like {them}." for them, one in where.items()]
 
 
 def _escaped(text: str) -> str:
@@ -290,19 +290,18 @@ def _escaped(text: str) -> str:
 
 HEAD = """# Catalogue of effects
 
-These are the {count} effects that may happen in reality and that a simulation may lack, in physical order. The page is
-made from the code (`python docs/examples/catalogue.py`); `fluxtwin effects NAME` prints a section for a scenario. A value
-of zero means that the effect is absent; each model states what a positive value means. Keys are those of
-`[effects.NAME]` in a [scenario](scenario.md#effectsname), with the number of components in brackets, the typical size,
-at which the search begins, and the physical range if it has ends. Below them are the frame in which the effect is constant
-and the quantity that it follows.
+These are the {count} effects that may happen in reality and that a simulation may lack, in physical order
+(`python docs/examples/catalogue.py` writes this page; `fluxtwin effects NAME` prints a section for a scenario). Of each
+there are the keys of `[effects.NAME]` in a [scenario](scenario.md#effectsname), with the number of components in brackets,
+the typical size, at which the search begins, and the physical range if it has ends; then the frame in which the effect is
+constant, and the quantity that it follows. Zero means that the effect is absent.
 
-*Looks like* follows from the design alone, before any data: it is the share of an effect's signature that
-another effect can imitate, with `bias` and `scale_misalignment` fitted as well, if that share is {alike:.0f} % or
-more. It is given for one cubesat over six orbits in three designs: {designs}. Two effects that imitate each
+*Looks like* follows from the design alone, before any data: the share of an effect's signature that
+another effect can imitate, with `bias` and `scale_misalignment` fitted as well, if it is {alike:.0f} % or
+more, for one cubesat over six orbits in three designs: {designs}. Two effects that imitate each
 other by 98 % or more are named as a group. A design in which they do not look alike separates them.
 
-The figure of each stage shows what an effect of typical size in all its components adds to the residual in two
+The figures show what an effect of typical size in all its components adds to the residual in two
 orbits of these designs, without noise and with `bias` and `scale_misalignment` fitted (except for these two). Effects
 on the dynamics rotate the body and leave the readings unchanged. Each component has a lane with zero in its middle; the
 height of a lane is written at the left of its panel."""

@@ -52,7 +52,7 @@ def _in_full(output: Output, effect: Effect) -> None:
     others = f" ({', '.join(effect.equivalent_stages)})" if effect.equivalent_stages else ""
     output.say(f"{effect.name}: stage {effect.stage}{others}")
     output.say(f"{effect.title}.")
-    output.say(wrapped(f"{effect.about}.", 100))
+    output.say(wrapped(f"{effect.about[0].upper()}{effect.about[1:]}.", 100))
     rows = [
         (p.name, _unit(p.unit), p.scale, _bound(p.low), _bound(p.high), key.name)
         for key in every_key(effect)

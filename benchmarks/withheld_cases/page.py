@@ -26,6 +26,8 @@ calibration error.
   divided by the rms of the noise.
 - *With a Jacobian*: effects whose signature follows from the flight. *Known by distribution*: only the statistics do
   (noise, steps, walks, bits, ...).
+- *List exactly right*: every cause is named and nothing else. *False extra*: a name without a cause. *Wrongly confirmed*:
+  a cause outside the catalogue was given a name. *Stage right*: the stage, or one that looks the same, is that of a cause.
 """
 _DETAILS = """# Withheld effects, case by case
 

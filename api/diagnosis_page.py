@@ -441,8 +441,8 @@ def transfer_table(diagnosis: Diagnosis) -> Table:
         "Would the closed scenario hold elsewhere?",
         ["effect", "design", "transfers", "error [nT]", "detectable [nT]", "chance"],
         rows,
-        "Error: rms per component caused there by the uncertainty of the parameters, after the calibration is re-estimated; "
-        "from the next column's size on it would be detected. "
+        "Error: rms per component caused there by the uncertainty of the parameters, after the calibration is re-estimated. "
+        "Detectable: the smallest such error that would be seen. "
         "Chance: the probability that a diagnosis of as many samples there finds a gap; an effect transfers up to 5 %. "
         "Housekeeping is assumed to repeat, or to follow the sunlight as it does here.",
     )

@@ -124,6 +124,7 @@ def calibrate(
     field: str | FieldModel = "igrf14",
     degree: int | None = None,
     onboard: Calibration | Path | str | None = None,
+    progress: Progress = usual,
     **options: Any,
 ) -> Fit:
     """S, b (and T) from one record or several; `.calibration` of the answer is what `apply` takes.
@@ -144,8 +145,8 @@ def calibrate(
     if onboard is not None:
         from fluxtwin.flight_software import calibrate_undone
 
-        return calibrate_undone(records, onboard, as_model(field, degree), **options)
-    return calibrate_by(records, as_model(field, degree), **options)
+        return calibrate_undone(records, onboard, as_model(field, degree), progress=progress, **options)
+    return calibrate_by(records, as_model(field, degree), progress=progress, **options)
 
 
 @with_reading

@@ -22,6 +22,7 @@ from fluxtwin.calib.common.options import Estimator
 from fluxtwin.calib.common.records import Calibration
 from fluxtwin.calib.common.robust import find_outliers
 from fluxtwin.sim.base.errors import BadInput, FluxtwinError, NoAnswer
+from fluxtwin.sim.base.progress import Progress, silent
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.earth.field import FieldModel, field_N_nT
 from fluxtwin.sim.earth.frames import angle_between
@@ -38,7 +39,11 @@ _WHY_NOT = 160  # characters of a refusal
 
 
 def compare(
-    telemetry: Telemetry, model: FieldModel, estimators: Mapping[str, Estimator], given: Mapping[str, Any]
+    telemetry: Telemetry,
+    model: FieldModel,
+    estimators: Mapping[str, Estimator],
+    given: Mapping[str, Any],
+    progress: Progress = silent,
 ) -> Comparison:
     """Every method on a record. given: options, each handed to the methods that take it.
 
@@ -53,7 +58,8 @@ def compare(
     found: dict[str, MethodResult] = {}
     errors: dict[str, FloatArray] = {}
     stretch = np.arange(len(telemetry)) * _STRETCHES // len(telemetry)
-    for name, estimator in estimators.items():
+    for number, (name, estimator) in enumerate(estimators.items()):
+        progress(f"method {name}", number / len(estimators))
         taken = {key: value for key, value in given.items() if key in estimator.takes}
         try:
             errors[name] = _held_out(

@@ -18,6 +18,7 @@ from fluxtwin.calib.linear import method as linear
 from fluxtwin.calib.scalar import method as scalar
 from fluxtwin.calib.spin import method as spin
 from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.progress import Progress, part_of, silent
 
 if TYPE_CHECKING:
     import numpy as np
@@ -111,7 +112,12 @@ def default_method(records: Telemetry | Sequence[Telemetry]) -> str:
 
 
 def calibrate_by(
-    records: Telemetry | Sequence[Telemetry], model: FieldModel, method: str | None = None, **given: Any
+    records: Telemetry | Sequence[Telemetry],
+    model: FieldModel,
+    method: str | None = None,
+    *,
+    progress: Progress = silent,
+    **given: Any,
 ) -> Fit:
     """Calibrate by the method of that name, None for `default_method`, with the verdict on the answer.
 
@@ -131,14 +137,14 @@ def calibrate_by(
         from fluxtwin.calib.comparing import compare
 
         wanted = {name: value for name, value in given.items() if value is not None}
-        compared = compare(telemetry, model, ESTIMATORS, wanted)
+        compared = compare(telemetry, model, ESTIMATORS, wanted, part_of(progress, 0.0, 0.8))
         taken = {name: value for name, value in wanted.items() if name in ESTIMATORS[compared.chosen].takes}
-        return replace(calibrate_by(telemetry, model, compared.chosen, **taken), comparison=compared)
+        fit = calibrate_by(telemetry, model, compared.chosen, progress=part_of(progress, 0.8, 1.0), **taken)
+        return replace(fit, comparison=compared)
     estimator = ESTIMATORS[default_method(telemetry) if method is None else method]
     taken = _taken(estimator, given)
-    fit = with_orbit_error(
-        estimator.fit(telemetry, model, taken), telemetry, lambda moved: estimator.fit(moved, model, taken)
-    )
+    fit = estimator.fit(telemetry, model, taken, progress)
+    fit = with_orbit_error(fit, telemetry, lambda moved: estimator.fit(moved, model, taken, sigmas=False))
     fit = _named(fit, telemetry)
     sigma_deg, reference = given.get("attitude_sigma_deg"), "attitude" in estimator.needs
     verdict = assess(fit, telemetry, attitude_sigma_deg=sigma_deg, against_attitude=reference)

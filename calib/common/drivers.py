@@ -26,6 +26,7 @@ from fluxtwin.calib.common.fit import Fit
 from fluxtwin.calib.common.records import seconds_of
 from fluxtwin.sim.base.errors import BadInput, NoAnswer, nearest
 from fluxtwin.sim.base.late import late, lateness_near, lateness_tried
+from fluxtwin.sim.base.progress import Progress
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.telemetry.quantities import DRIVERS
 from fluxtwin.sim.telemetry.record import Telemetry, recorded_columns
@@ -45,7 +46,10 @@ _LEAST_KNOWN = 0.5
 _SAME = 0.9
 _PASSES = 2
 _FAR = 5.0
-_MOVES = (1.25, 1.25, 1.12, 1.06)  # of a delay or lag, round by round
+_MOVES = ((1.12, 0.12), (1.12, 0.12), (1.06, 0.06), (1.03, 0.03))
+_WIDE = (1.25, 0.25)
+"""Of delay and lag, round by round: by what factor their sum is moved, and by how much the delay's share of it."""
+_GRID = np.stack(np.meshgrid([-1.0, 0.0, 1.0], [-1.0, 0.0, 1.0], indexing="ij"), axis=-1).reshape(9, 2)
 _CONSTANT = 1e-9
 """Of its largest value, that a column must move by."""
 
@@ -67,11 +71,11 @@ class Asked:
 class _Late(NamedTuple):
     delay_s: float
     lag_s: float
-    factor: float
-    """By which both may be off, 1 sigma."""
+    near: tuple[tuple[float, float], ...] = ()
+    """Delays and lags [s] that are one sigma off: in the sum of both, and in the share of the delay."""
 
 
-_NOT = _Late(0.0, 0.0, 1.0)
+_NOT = _Late(0.0, 0.0)
 
 
 def asked_for(telemetry: Telemetry, names: Sequence[str]) -> Asked:
@@ -127,8 +131,8 @@ def fitted(asked: Asked, rows: np.ndarray, others: FloatArray, fit: Callable[[Co
     final = whole if len(kept) == len(apart) or not asked.every else fit({name: columns[name] for name in kept})
     used = {name: columns[name] for name in final.calibration.telemetry_bias}
 
-    def again(name: str, other: _Late) -> F:
-        return fit({**used, name: late(asked.time_s, asked.columns[name], *other[:2])[rows]})
+    def again(name: str, other: tuple[float, float]) -> F:
+        return fit({**used, name: late(asked.time_s, asked.columns[name], *other)[rows]})
 
     final = _with_lateness(final, found, again) if found else final
     if not asked.every:
@@ -147,7 +151,9 @@ def fitted(asked: Asked, rows: np.ndarray, others: FloatArray, fit: Callable[[Co
     return replace(final, messages=(*final.messages, said, *more))
 
 
-def taken_out_first(telemetry: Telemetry, found: Fit, fit: Callable[[Telemetry], F], *, sigmas: bool) -> F:
+def taken_out_first(
+    telemetry: Telemetry, found: Fit, fit: Callable[[Telemetry], F], progress: Progress, *, sigmas: bool
+) -> F:
     """A fit by a method that takes the spacecraft's own field for constant, to readings less the fields of `found`.
 
     Their covariance is in its own: a refit for each of its principal parts, as in a joint fit by least squares, where what
@@ -164,7 +170,9 @@ def taken_out_first(telemetry: Telemetry, found: Fit, fit: Callable[[Telemetry],
 
     own = freed(np.zeros(3 * len(biases)))
     covariance = own.calibration.covariance
-    for part in np.linalg.cholesky(found.driver_covariance).T if biases and sigmas else ():
+    parts = np.linalg.cholesky(found.driver_covariance).T if biases and sigmas else ()
+    for number, part in enumerate(parts, 1):
+        progress(f"refit {number} of {len(parts)}, for the errors of the fields", number / (len(parts) + 1))
         step = freed(part).calibration.values - own.calibration.values
         covariance = covariance + np.outer(step, step)
     said = f"the fields of the columns are those of {found.method}, which works with |B|"
@@ -186,17 +194,33 @@ def _lateness(asked: Asked, rows: np.ndarray, whole: F, columns: Columns, drops:
         if values[best] - values[0] <= 2.0 * np.log(len(tried)):
             continue
         at, top = tried[best], float(values[best])
-        for moved in _MOVES:
-            near = lateness_near(*at, moved)
+        for moves in (None, None, *_MOVES):
+            near = lateness_near(*at) if moves is None else _near(at, _GRID, moves)
             values = drops(whole, known, name, _moved(asked, raw, near)[rows])
             if values.max() > top:
                 at, top = near[int(np.argmax(values))], float(values.max())
-        around = [(at[0] * moved, at[1] * moved) for moved in (1.0 / _MOVES[0], _MOVES[0])]
-        before, after = drops(whole, known, name, _moved(asked, raw, around)[rows])
-        bend = (2.0 * top - before - after) / 2.0  # chi-square goes as the square of the logarithm over its sigma
-        found[name] = _Late(*at, min(_MOVES[0] ** (1.0 / np.sqrt(max(bend, 1.0))), _MOVES[0]))
+        lower = top - drops(whole, known, name, _moved(asked, raw, _near(at, _GRID, _WIDE))[rows])
+        found[name] = _Late(*at, tuple(_near(at, _one_sigma(lower.reshape(3, 3)), _WIDE)))
         known[name] = late(asked.time_s, raw, *at)[rows]
     return found
+
+
+def _near(at: tuple[float, float], steps: FloatArray, moves: tuple[float, float]) -> list[tuple[float, float]]:
+    """Delays and lags [s], `steps` (K, 2) from one: in their sum, and in the delay's share of it, from 0 to 1."""
+    sums, share = sum(at) * moves[0] ** steps[:, 0], at[0] / sum(at)
+    shares = np.clip(share + moves[1] * steps[:, 1], 0.0, 1.0)
+    return [(float(part * whole), float((1.0 - part) * whole)) for whole, part in zip(sums, shares, strict=True)]
+
+
+def _one_sigma(lower: FloatArray) -> FloatArray:
+    """(2, 2) steps of one sigma each, independent, from how far chi-square's drop (3, 3) falls around its top: by x' H x."""
+    H = np.diag([lower[::2, 1].mean(), lower[1, ::2].mean()])
+    if 0.0 in lower[1, ::2]:  # a share of 0 or 1 has steps to one side
+        one_way = 1.0 if lower[1, 0] == 0.0 else -1.0
+        return np.asarray(np.diag([1.0, one_way]) / np.sqrt(np.maximum(H * [1.0, 2.0], 1.0)))
+    H[0, 1] = H[1, 0] = (lower[0, 0] + lower[2, 2] - lower[0, 2] - lower[2, 0]) / 8.0
+    values, vectors = np.linalg.eigh(H)
+    return np.asarray((vectors / np.sqrt(np.maximum(values, 1.0))).T)
 
 
 def _moved(asked: Asked, column: FloatArray, tried: Sequence[tuple[float, float]]) -> FloatArray:
@@ -204,26 +228,24 @@ def _moved(asked: Asked, column: FloatArray, tried: Sequence[tuple[float, float]
     return np.stack([late(asked.time_s, column, *one) for one in tried], axis=1)
 
 
-def _with_lateness(fit: F, found: Mapping[str, _Late], again: Callable[[str, _Late], F]) -> F:
+def _with_lateness(fit: F, found: Mapping[str, _Late], again: Callable[[str, tuple[float, float]], F]) -> F:
     """The fit whose fields follow their columns so late, with what an error of that does to it in its covariances.
 
     again: the fit with the column of a name at another delay and lag.
     """
     biases, covariance, of_drivers = {}, fit.calibration.covariance, fit.driver_covariance
-    for name, bias in fit.calibration.telemetry_bias.items():
+    biases_of = fit.calibration.telemetry_bias
+    for name, bias in biases_of.items():
         biases[name] = bias
         if name in found:
-            one = found[name]
-            other = again(name, one._replace(delay_s=one.delay_s * one.factor, lag_s=one.lag_s * one.factor))
-            moved = other.calibration.values - fit.calibration.values
-            fields = np.concatenate(
-                [
-                    other.calibration.telemetry_bias[key].value_nT - held.value_nT
-                    for key, held in fit.calibration.telemetry_bias.items()
-                ]
-            )
-            covariance, of_drivers = covariance + np.outer(moved, moved), of_drivers + np.outer(fields, fields)
-            biases[name] = replace(bias, delay_s=one.delay_s, lag_s=one.lag_s)
+            for near in found[name].near:
+                other = again(name, near).calibration
+                moved = other.values - fit.calibration.values
+                fields = np.concatenate(
+                    [other.telemetry_bias[key].value_nT - biases_of[key].value_nT for key in biases_of]
+                )
+                covariance, of_drivers = covariance + np.outer(moved, moved), of_drivers + np.outer(fields, fields)
+            biases[name] = replace(bias, delay_s=found[name].delay_s, lag_s=found[name].lag_s)
     sigma_nT = np.sqrt(np.diag(of_drivers)).reshape(-1, 3)
     biases = {name: replace(bias, sigma_nT=sigma_nT[k]) for k, (name, bias) in enumerate(biases.items())}
     calibration = replace(fit.calibration, telemetry_bias=biases, covariance=covariance)

@@ -13,6 +13,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any, cast
 
 from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.progress import Progress, silent
 
 if TYPE_CHECKING:
     from fluxtwin.calib.common.fit import Fit
@@ -143,11 +144,20 @@ class Estimator:
         other = ("method", "telemetry_bias") if self.drivers_by else ("method",)
         return {item.name: item for item in fields(self.options) if item.name not in other}
 
-    def fit(self, telemetry: Telemetry, model: FieldModel, given: Mapping[str, Any], *, sigmas: bool = True) -> Fit:
+    def fit(
+        self,
+        telemetry: Telemetry,
+        model: FieldModel,
+        given: Mapping[str, Any],
+        progress: Progress = silent,
+        *,
+        sigmas: bool = True,
+    ) -> Fit:
         """Calibrate a record by the options that are given. Errors as the method's own.
 
         sigmas: whether those of S and b have to contain what the fields of columns leave open, which takes refits.
         """
+        progress(f"calibrating by {self.name}", 0.0)
         fit, options = _imported(self.home), self.options(method=self.name, **given)
         if not self.drivers_by or not given.get("driver"):
             return cast("Fit", fit(telemetry, model, options))
@@ -156,7 +166,9 @@ class Estimator:
         own = self.options(method=self.name, **{**given, "driver": ()})
         shared = {name: value for name, value in given.items() if name in _OF_READINGS}
         found = _imported(self.drivers_by)(telemetry, model, **shared)
-        return taken_out_first(telemetry, found, lambda freed: cast("Fit", fit(freed, model, own)), sigmas=sigmas)
+        return taken_out_first(
+            telemetry, found, lambda freed: cast("Fit", fit(freed, model, own)), progress, sigmas=sigmas
+        )
 
 
 def _imported(home: str) -> Callable[..., Any]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,10 +17,11 @@ from fluxtwin.calib.common.noise import ReadingNoise, per_axis
 from fluxtwin.calib.common.records import Calibration, TelemetryBias
 from fluxtwin.calib.common.residuals import residual_statistics
 from fluxtwin.calib.common.robust import robust_weights
+from fluxtwin.calib.common.verdict import kept_rows
 from fluxtwin.calib.common.words import say
 from fluxtwin.calib.gyro.method import GyroOptions
 from fluxtwin.calib.gyro.motion import LARGEST_TURN_RAD, cut
-from fluxtwin.calib.gyro.solve import Solved, fields_without_errors, solve
+from fluxtwin.calib.gyro.solve import Solved, drops, fields_without_errors, solve
 from fluxtwin.sim.base.errors import BadInput, NoAnswer
 from fluxtwin.sim.base.random_streams import stream
 from fluxtwin.sim.base.types import FloatArray
@@ -40,9 +42,18 @@ _SHAKEN = 2.0  # noises of the gyro, in the trial with a magnetometer without er
 _REPEATED = float(chi2.ppf(0.999, 3))
 
 
+@dataclass(frozen=True, kw_only=True)
+class GyroFit(Fit):
+    """What this method adds to the record of every method."""
+
+    solved: Solved
+    length_s: float
+    """Of a stretch."""
+
+
 def calibrate_gyro(
     records: Telemetry | Sequence[Telemetry], model: FieldModel, options: GyroOptions | None = None, **given: Any
-) -> Fit:
+) -> GyroFit:
     """S (of trace zero) and b from readings and body rates; the field model, positions and attitude are not looked at.
 
     Raises BadInput where the telemetry has no rates, NoAnswer where too few rows follow each other closely enough, or the
@@ -63,14 +74,22 @@ def calibrate_gyro(
     rows, left_out = complete_rows(needs, "by gyro needs readings, body rates and drivers in the same rows")
     used = telemetry.select(rows)
 
-    def by(columns: drivers.Columns) -> Fit:
+    def by(columns: drivers.Columns) -> GyroFit:
         return _fit(telemetry, used, rows, columns, options, left_out)
 
-    def not_late(fit: Fit, columns: drivers.Columns, name: str, tried: FloatArray) -> FloatArray:
-        return np.zeros(tried.shape[1])
+    def late(fit: GyroFit, columns: drivers.Columns, name: str, tried: FloatArray) -> FloatArray:
+        others = {one: values for one, values in columns.items() if one != name}
+        turned, known = rates[rows], _stacked(columns, len(used))
+        seen = used.time, used.mag_B_nT, turned, cut(used.time, turned, fit.length_s), fit.length_s, known
+        return drops(*seen, fit.solved, kept_rows(fit.weights), _stacked(others, len(used)), tried)
 
     others = used.mag_B_nT if options.parameters != "b" else np.zeros((len(used), 0))
-    return drivers.fitted(asked, rows, others, by, not_late)
+    return drivers.fitted(asked, rows, others, by, late)
+
+
+def _stacked(columns: drivers.Columns, rows: int) -> FloatArray:
+    """(rows, J) the columns side by side."""
+    return np.array([*columns.values()]).reshape(len(columns), rows).T
 
 
 def _fit(
@@ -80,16 +99,15 @@ def _fit(
     columns: drivers.Columns,
     options: GyroOptions,
     left_out: Mapping[str, int],
-) -> Fit:
+) -> GyroFit:
     """The fit to these rows of the telemetry, with the fields of columns (n,)."""
     assert used.rate_B_rad_s is not None
-    follows = np.array([*columns.values()]).reshape(len(columns), len(used)).T
+    follows = _stacked(columns, len(used))
     solved, weights, length_s = _best(used, used.rate_B_rad_s, follows, options)
     variation = observability.field_variation(used.mag_B_nT)
     _require_turns(solved, used.mag_B_nT - follows @ solved.fields_nT, options)
-    order = np.argsort(solved.rows, kind="stable")
-    kept_rows, residual_nT = solved.rows[order], solved.residual_nT[order]
-    w = weights[kept_rows]
+    in_stretch, residual_nT = solved.rows, solved.residual_nT
+    w = weights[in_stretch]
     kept = w >= 0.01
     noise = _noise(options, solved.variance_nT2)
     beside = f", field of {' and '.join(columns)} estimated" if columns else ""
@@ -101,28 +119,29 @@ def _fit(
         covariance_kind="blocks",
         sigma_nT=float(np.sqrt((residual_nT[kept] ** 2).mean())),
         samples=int(kept.sum()),
-        span=(used.time[kept_rows[0]], used.time[kept_rows[-1]]),
+        span=(used.time[in_stretch[0]], used.time[in_stretch[-1]]),
         field_model="none",
         method=f"gyro and magnetometer alone, for {options.parameters}{beside}",
         unobservable=(say("gyro.S_not_estimated") if options.parameters == "b" else say("gyro.no_scale"),),
         telemetry_bias={name: TelemetryBias(solved.fields_nT[k], fields_sigma_nT[k]) for k, name in enumerate(columns)},
     )
-    outside = len(used) - len(kept_rows)
-    fit = Fit(
+    outside = len(used) - len(in_stretch)
+    fit = GyroFit(
         calibration=calibration,
         method="gyro",
-        time=used.time[kept_rows],
+        time=used.time[in_stretch],
         residuals_nT=residual_nT,
         weights=w / w.sum(),
-        rows=rows[kept_rows],
+        rows=rows[in_stretch],
         left_out={**left_out, **({"no unbroken stretch around it": outside} if outside else {})},
         rejected=int((~kept).sum()),
         variation=variation,
         noise=noise,
-        statistics=residual_statistics(used.time[kept_rows][kept], residual_nT[kept]),
+        statistics=residual_statistics(used.time[in_stretch][kept], residual_nT[kept]),
         messages=_messages(solved, length_s, noise, options),
         driver_covariance=solved.fields_covariance,
-        warnings=(say("gyro.in_step", names=" and ".join(columns)),) if columns else (),
+        solved=solved,
+        length_s=length_s,
     )
     return with_warnings(fit, telemetry, robust=options.robust != "none")
 

@@ -29,6 +29,7 @@ from scipy.optimize import minimize_scalar
 
 from fluxtwin.calib.common.conventions import of_S
 from fluxtwin.calib.common.design import of_turns
+from fluxtwin.calib.common.drivers import drawn_in, drops_of
 from fluxtwin.calib.common.shrinkage import SURE, widening
 from fluxtwin.calib.gyro.motion import Stretch, degree_for, follow
 from fluxtwin.sim.base.errors import NoAnswer
@@ -267,6 +268,38 @@ def fields_without_errors(
     stretches = [follow(time, rate_B_rad_s, one, degree) for one in cuts]
     found = [reading_nT[one.rows] + _residual(one, reading_nT, none, none[0], weights) for one in stretches]
     return np.vstack(found)
+
+
+def drops(
+    time: TimeArray,
+    reading_nT: FloatArray,
+    rate_B_rad_s: FloatArray,
+    cuts: Sequence[np.ndarray],
+    length_s: float,
+    columns: FloatArray,
+    solved: Solved,
+    kept: np.ndarray,
+    fixed: FloatArray,
+    tried: FloatArray,
+) -> FloatArray:
+    """(c,) by how much each of `tried` (N, c) lowers chi-square beside all else and `fixed` (N, k); see `drivers.Drops`.
+
+    The arguments up to `columns` are those of `solve`, and `solved` is its answer; kept: (n,) its rows that are no outliers.
+    """
+    scale, with_S = float(np.sqrt((reading_nT**2).sum(axis=1).mean())), bool(solved.S.any())
+    M, d = np.eye(3) + solved.S, np.hstack([fixed, tried])
+    true = ((reading_nT - columns @ solved.fields_nT) @ M.T + solved.b_nT) / scale
+    m = reading_nT / scale
+    m[solved.rows] += drawn_in(solved.residual_nT, kept) @ np.linalg.inv(M).T / scale
+    ratio = (solved.gyro_noise_rad_s * scale) ** 2 / solved.variance_nT2
+    whole, at = np.ones(len(m)), (8 if with_S else 0) + 3 * fixed.shape[1]
+    gram = np.zeros((at + 7 + 3 * tried.shape[1],) * 2)
+    for rows in cuts:
+        one = follow(time, rate_B_rad_s - solved.bias_rad_s, rows, degree_for(length_s))
+        clear = _cleared(one, m, true, d, whole, ratio, with_S=with_S)
+        seen = np.column_stack([clear.G[:, :at], clear.G[:, -6:], clear.G[:, at:-6], clear.y])
+        gram += seen.T @ seen
+    return drops_of(gram * scale**2 / solved.variance_nT2, at + 6, 3)
 
 
 def _residual(one: Stretch, reading_nT: FloatArray, S: FloatArray, c: FloatArray, weights: FloatArray) -> FloatArray:

@@ -24,10 +24,10 @@ def lateness_tried(seconds: FloatArray) -> list[tuple[float, float]]:
     return [(0.0, 0.0), *((s, 0.0) for s in tried), *((0.0, s) for s in tried)]
 
 
-def lateness_near(delay_s: float, lag_s: float, moved: float = _MOVED) -> list[tuple[float, float]]:
-    """Delays and lags [s] as late in all, or `moved` times more or less, with other shares of both; of none, none."""
+def lateness_near(delay_s: float, lag_s: float) -> list[tuple[float, float]]:
+    """Delays and lags [s] as late in all, or 1.25 times more or less, with other shares of both; of none, none."""
     whole_s = delay_s + lag_s
-    parts = [(share, whole_s * size) for share in _SHARES for size in (1.0, moved, 1.0 / moved)]
+    parts = [(share, whole_s * size) for share in _SHARES for size in (1.0, _MOVED, 1.0 / _MOVED)]
     return [(share * late_s, (1.0 - share) * late_s) for share, late_s in parts] if whole_s else []
 
 

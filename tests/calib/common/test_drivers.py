@@ -80,6 +80,15 @@ def flown(seed: int, *, noise: bool = True, torquers: bool = False, wrong_S: boo
     return record.replace(mag_B_nT=record.mag_B_nT + field, drivers=drivers)
 
 
+TUMBLING = """
+[attitude]
+mode = "tumble"
+rate_deg_s = [1.5, 0.8, -1.1]
+[magnetometer]
+b_nT = [1500.0, -800.0, 300.0]
+noise_nT = 50.0
+"""
+INERTIA = [[0.02, 0.0, 0.0], [0.0, 0.025, 0.0], [0.0, 0.0, 0.03]]
 LATE = {"driver_array": (0.0, 120.0), "driver_payload": (45.0, 0.0)}
 """Delay and lag of their fields [s]."""
 
@@ -176,6 +185,21 @@ def test_a_late_field_is_found_late_and_its_size_within_its_covariance() -> None
     assert low < total < high, total / 6 / LATE_RUNS
 
 
+@pytest.mark.parametrize("method", ["linear", "scalar"])
+def test_a_delay_and_a_lag_together_are_told_apart(method: str) -> None:
+    """20 s of delay, then a lag of 30 s, behind a switch: e' C^-1 e of three coefficients over the seeds, with 1 - 1e-4."""
+    total = 0.0
+    for seed in range(4):
+        text = scenario_text(TUMBLING, segment="samples = 500, step_s = 4.0", seed=400 + seed, inertia_kg_m2=INERTIA)
+        record, _ = simulate(parse_scenario(text, where="test"))
+        on = stream(seed, "test.switch").integers(0, 2, 56).astype(float).repeat(9)[:500]
+        B = record.mag_B_nT + np.outer(late(seconds_of(record.time), on, 20.0, 30.0), 5.0 * SWITCH_NT)
+        fit = fit_of(record.replace(mag_B_nT=B, drivers={"switch": on}), method=method, driver=["switch"])
+        error = fit.calibration.telemetry_bias["driver_switch"].value_nT - 5.0 * SWITCH_NT
+        total += float(error @ np.linalg.solve(fit.driver_covariance, error))
+    assert total < chi2.ppf(1.0 - ALARM, 12)
+
+
 def test_a_field_that_is_not_late_is_not_called_late() -> None:
     """At most one of these 16 columns: by chance one in a hundred is."""
     found = [fit_of(flown(seed), driver=["all"]).calibration.telemetry_bias for seed in range(8)]
@@ -206,17 +230,18 @@ def test_where_errors_are_white_weights_cost_nothing() -> None:
 
 
 def test_an_error_of_the_lateness_is_in_the_covariance(close: Any) -> None:
-    """One sigma of it, a tenth of 40 s of delay and 20 s of lag, moves b by 6 nT where a second moves it by one."""
+    """One sigma, a tenth of 40 s of delay and 20 s of lag, moves b by 6 nT; one of the share, 8 s of the delay, by 8 nT."""
     fit = fit_of(flown(0), driver=["payload"], covariance="white")
     held = fit.calibration
 
-    def again(name: str, other: _Late) -> Fit:
-        moved = other.delay_s + other.lag_s - 60.0
+    def again(name: str, other: tuple[float, float]) -> Fit:
+        moved = 6.0 if other == (44.0, 22.0) else other[0] - 40.0
         return dataclasses.replace(fit, calibration=dataclasses.replace(held, b_nT=held.b_nT + moved))
 
-    wider = _with_lateness(fit, {"driver_payload": _Late(40.0, 20.0, 1.1)}, again).calibration.covariance
+    found = _Late(40.0, 20.0, ((44.0, 22.0), (48.0, 12.0)))
+    wider = _with_lateness(fit, {"driver_payload": found}, again).calibration.covariance
     added = np.zeros((12, 12))
-    added[9:, 9:] = 36.0
+    added[9:, 9:] = 36.0 + 64.0
     close(wider - held.covariance, added, atol=1e-9, unit="nT^2", because="rounding")
 
 

@@ -4,7 +4,8 @@ Offset, scale and rotation are float32; the reading is in mGauss. The offset is 
 soft iron, scaled axis by axis, and turned back: B = R' diag(scale) R (m + offset). Source: operators' tools for the
 launch and early orbit phase of these computers (github.com/FaBa-GS/leop_tools: `lib/libcal.py`, `calibrate_mag` and
 `mag_model`; names and tables in `lib/libconfig.py`: table 82, `mag_...`, for the magnetometer of the A3200, table 86 for the
-external M315). They are not a manual of the maker: try the file on the ground first.
+external M315). They are not a manual of the maker: try the file on the ground first. No range of the tables is public;
+scales of 0.5 to 2 are what the tools' own calibration (`mag_cal`) allows.
 """
 
 from __future__ import annotations
@@ -15,12 +16,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from fluxtwin.calib.common.conventions import OffsetFirst
-from fluxtwin.calib.onboard.target import Number, Target, as_float32, float32
+from fluxtwin.calib.onboard.target import Number, Target, as_float32, float32, scales_beyond
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth.constants import NT_PER_MG
 
 _NODE = 4
+_SCALE = (0.5, 2.0)
 _TABLES = {1: 82, 2: 86}
 _NAMES = {1: ("mag_offset", "mag_scale", "mag_rotation"), 2: ("offset", "scale", "rotation")}
 _LINE = re.compile(r"\s*rparam\s+set\s+(?P<name>\w+?)(?:\[(?P<at>\d)\])?\s+(?P<values>[-+.\deE\s]+?)\s*$")
@@ -71,6 +73,9 @@ class GomSpace(Target):
         )
         R = R.reshape(3, 3)
         return OffsetFirst(R.T @ np.diag(scale) @ R, -NT_PER_MG * offset)
+
+    def beyond(self, held: OffsetFirst) -> list[str]:
+        return scales_beyond(_principal(held.M)[0], _SCALE)
 
     def notes(self, held: OffsetFirst) -> list[str]:
         return [

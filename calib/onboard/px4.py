@@ -15,7 +15,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from fluxtwin.calib.common.conventions import OffsetFirst, six_of, symmetric
-from fluxtwin.calib.onboard.target import NT_PER_GAUSS, Number, Target, float32, named_values
+from fluxtwin.calib.onboard.target import NT_PER_GAUSS, Number, Target, float32, named_values, scales_beyond
 
 _LINE = re.compile(r"\s*(?:\d+\s+\d+\s+)?(?P<name>[A-Z0-9_]+)[\s,]+(?P<value>[^\s,#]+)")
 _SCALE = (0.1, 3.0)
@@ -55,10 +55,7 @@ class Px4(Target):
         return OffsetFirst(M, NT_PER_GAUSS * np.array([found[name] for name in names[:3]]))
 
     def beyond(self, held: OffsetFirst) -> list[str]:
-        scale = np.diag(held.M)
-        if (scale >= _SCALE[0]).all() and (scale <= _SCALE[1]).all():
-            return []
-        return [f"a scale of {scale.round(3).tolist()} is not within {_SCALE[0]} to {_SCALE[1]:.0f}"]
+        return scales_beyond(np.diag(held.M), _SCALE)
 
     def in_use(self, held: OffsetFirst) -> OffsetFirst:
         """After a start with these parameters, without the groups that are too small to be taken up."""

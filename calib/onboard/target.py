@@ -15,6 +15,7 @@ import numpy as np
 
 from fluxtwin.calib.common.conventions import OffsetFirst
 from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth.constants import NT_PER_MG
 
 NT_PER_GAUSS = 1000.0 * NT_PER_MG
@@ -85,6 +86,13 @@ class Target(ABC):
 def float32(value: float) -> str:
     """The fewest digits that give the same single-precision number back."""
     return str(np.format_float_positional(np.float32(value), unique=True, trim="0"))
+
+
+def scales_beyond(scale: FloatArray, allowed: tuple[float, float]) -> list[str]:
+    """Scales that are not within the allowed ones, in a sentence."""
+    if (scale >= allowed[0]).all() and (scale <= allowed[1]).all():
+        return []
+    return [f"a scale of {scale.round(3).tolist()} is not within {allowed[0]} to {allowed[1]:.0f}"]
 
 
 def as_float32(text: str, where: str) -> float:

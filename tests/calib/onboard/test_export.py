@@ -170,6 +170,8 @@ def test_what_a_target_cannot_hold_is_refused_by_name() -> None:
         export_calibration(calibration_of(np.zeros((3, 3)), np.array([2e5, 0.0, 0.0])), "ardupilot")
     with pytest.raises(BadInput, match="scale of"):
         export_calibration(calibration_of(2.5 * np.eye(3), np.zeros(3)), "px4")
+    with pytest.raises(BadInput, match=r"not within 0\.5 to 2"):
+        export_calibration(calibration_of(1.2 * np.eye(3), np.zeros(3)), "gomspace")
     coupled = calibration_of(np.zeros((3, 3)), np.zeros(3), T_nT_per_Am2=np.eye(3))
     with pytest.raises(BadInput, match="no place for the torquers"):
         export_calibration(coupled, "px4")

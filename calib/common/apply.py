@@ -78,17 +78,22 @@ def outside_span(telemetry: Telemetry, calibration: Calibration) -> int:
 
 def _warn_outside(telemetry: Telemetry, calibration: Calibration) -> None:
     """Where a record leaves the time or the temperatures from which the calibration was made, or the calibration expires."""
-    if beyond := outside_span(telemetry, calibration):
-        made = f"the calibration was made from the data of {_span_words(calibration)}"
-        rows = f"{beyond} of the {len(telemetry)} rows here are of another time"
-        warnings.warn(f"{made}; {rows}, in which it is assumed to hold unchanged", stacklevel=4)
-    ends = calibration.expires
-    if ends is not None and (late := int((telemetry.time >= ends).sum())):
-        warnings.warn(
-            f"{late} of {len(telemetry)} rows are after {epoch.iso(ends, 's')}, when the calibration expires: the drift "
-            "that `fluxtwin trend` found has then made it wrong by three of its sigmas",
-            stacklevel=4,
+    beyond, ends = outside_span(telemetry, calibration), calibration.expires
+    late = 0 if ends is None else int((telemetry.time >= ends).sum())
+    if beyond or late:
+        made = (
+            ""
+            if calibration.span is None
+            else f"the calibration was made from the data of {_span_words(calibration)}; "
         )
+        rows = f"{beyond} of the {len(telemetry)} rows here are of another time, "
+        held = "in which it is assumed to hold unchanged"
+        if ends is not None and late:
+            held = (
+                f"{late} are after {epoch.iso(ends, 's')}, when it expires: the drift that `fluxtwin trend` found has then "
+                "made it wrong by three of its sigmas"
+            )
+        warnings.warn(f"{made}{rows}{held}", stacklevel=4)
     seen, known = telemetry.temperature_degC, calibration.temperature_degC
     if seen is None or known is None:
         return

@@ -62,5 +62,6 @@ def test_rows_after_the_expiry_are_counted(files: Path, tmp_path: Path, process:
     assert fluxtwin.Calibration.from_toml(tmp_path / "c.toml").expires == time[180]
     more = ("--out", tmp_path / "o.nc") if verb == "apply" else ()
     done = process(verb, files / "t.nc", "--calibration", tmp_path / "c.toml", *more)
-    assert done.status == 0 and "120 of 300 rows are after 2" in done.err and "expires" in done.err
+    assert done.status == 0 and "rows here are of another time, 120 are after 2" in done.err and "expires" in done.err
+    assert done.err.count("calibration was made") == 1 and "unchanged" not in done.err, "one note, which is true"
     assert "expires" not in process(verb, files / "t.nc", "--calibration", files / "c.toml", *more, "--force").err

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fluxtwin import calibration_page, campaign_page, check_page, describing, diagnosis_page, fleets, plan_page
+from fluxtwin import calibration_page, campaign_page, check_page, describing, diagnosis_page, fleets, flying, plan_page
 from fluxtwin.calib.attitude.three_axis import AttitudeSolution
 from fluxtwin.calib.attitude.yaw import YawSolution
 from fluxtwin.calib.checks.report import CheckReport
@@ -17,6 +17,7 @@ from fluxtwin.calib.common.digits import plain
 from fluxtwin.calib.common.fit import Fit
 from fluxtwin.calib.common.records import Calibration
 from fluxtwin.calib.common.verdict import kept_rows
+from fluxtwin.calib.onboard.export import Export
 from fluxtwin.calib.trend import Trend
 from fluxtwin.campaigning import Campaign
 from fluxtwin.console import shown
@@ -26,9 +27,10 @@ from fluxtwin.gap.records.diagnosis import Diagnosis
 from fluxtwin.gap.records.plan import CalibrationPlan, Plan
 from fluxtwin.plots import on_axes
 from fluxtwin.plots.plan import power_on, sigma_on
-from fluxtwin.scenarios.page import Table
+from fluxtwin.scenarios.page import StudyResult, Table
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.earth import epoch
+from fluxtwin.sim.run.ensemble.run import Ensemble
 from fluxtwin.sim.telemetry.record import Telemetry
 from fluxtwin.trending import trend_table
 
@@ -208,6 +210,22 @@ def _calibration(known: Calibration) -> Presented:
     return Presented([*method, *span, *known.unobservable], calibration_page.parameter_tables(known))
 
 
+def _export(made: Export) -> Presented:
+    sentences = [made.formula, f"source: {made.source}", *made.lines, *made.notes]
+    return Presented(sentences, [Table("Numbers", ("number", "value", "unit"), made.numbers)])
+
+
+def _draw_ensemble(axes: Axes, flown: Ensemble) -> Axes:
+    if flown.envelope is None:
+        raise BadInput("its vehicles have no pointing to draw", where="plot", wanted="a scenario that points")
+    around, title = flown.envelope, "Pointing error over the vehicles"
+    size_deg, names = (
+        np.stack([around.median_deg, around.p95_deg, around.max_deg], axis=1),
+        ("median", "95 %", "largest"),
+    )
+    return on_axes.components(axes, around.time, size_deg, y="pointing error [deg]", title=title, names=names)
+
+
 def _draw_trend(axes: Axes, found: Trend) -> Axes:
     bias = [one for one in found.histories if one.name in ("b1", "b2", "b3")]
     moved_nT = np.stack([one.values - one.mean for one in bias], axis=1)
@@ -227,6 +245,9 @@ _WORDS: dict[type, Callable[[Any], Presented]] = {
     Fleet: lambda found: Presented(found.lines, fleets.tables(found)),
     Campaign: _campaign,
     Trend: lambda found: Presented(found.lines, [trend_table(found)]),
+    Export: _export,
+    Ensemble: lambda found: Presented([flying.ensemble_sentence(found)], [flying.ensemble_table(found)]),
+    StudyResult: lambda found: Presented([found.status_line], found.tables),
     Telemetry: lambda record: _inventory(describing.of_record(record)),
     describing.Inventory: _inventory,
 }
@@ -239,6 +260,7 @@ _PICTURES: dict[type, Callable[[Axes, Any], Axes]] = {
     YawSolution: _draw_yaw,
     Trend: _draw_trend,
     AttitudeSolution: _draw_attitude,
+    Ensemble: _draw_ensemble,
     Telemetry: _draw_record,
 }
 

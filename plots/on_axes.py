@@ -29,12 +29,12 @@ def components(
     aside: np.ndarray | None = None,
     names: Sequence[str] = ("|B|",),
 ) -> Axes:
-    """Components (N, 3), or one (N, 1) of a name, against time in UTC; rows `aside` as grey crosses."""
+    """Components (N, 3), or what has names, against time in UTC; rows `aside` as grey crosses."""
     every = max(1, len(time) // _MOST)
     stamps = time[::every]
     chosen = value[::every]
     set_aside = np.zeros(len(chosen), dtype=bool) if aside is None else aside[::every]
-    for k, name in enumerate("xyz" if value.shape[1] == 3 else names):
+    for k, name in enumerate(names if value.shape[1] == len(names) else "xyz"):
         colour = style.AXIS_COLOURS[k]
         axes.plot(stamps[~set_aside], chosen[~set_aside, k], ".", markersize=3, color=colour, label=name)
         axes.plot(stamps[set_aside], chosen[set_aside, k], "x", markersize=3, color=style.GREY)

@@ -12,6 +12,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
+from fluxtwin.sim.base.shown import Shown
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
@@ -83,7 +85,7 @@ class Page:
 
 
 @dataclass(frozen=True)
-class StudyResult:
+class StudyResult(Shown):
     """What `run` of a study returns."""
 
     name: str

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -12,13 +12,9 @@ from fluxtwin.commands import options as of
 from fluxtwin.console import Output
 
 if TYPE_CHECKING:
-    from fluxtwin.scenarios.page import Table
     from fluxtwin.sim.run.ensemble.run import Ensemble
 
 BRIEF = "Simulate thousands of vehicles with drawn parameters, on all cores."
-
-_ROUNDING = 1e-12  # in units of any quantity: below it nothing was simulated
-_SHOWN = ("mean", "std", "p5", "p50", "p95", "p99", "max", "vehicle_of_max")
 
 
 def command(
@@ -94,6 +90,7 @@ def _extract(output: Output, scenario: Path, out: Path, seed: int | None, vehicl
 
 def _draw(flown: Ensemble) -> list[Path]:
     """The page, and the picture of the envelope, where there is a pointing."""
+    from fluxtwin.flying import ensemble_sentence, ensemble_table
     from fluxtwin.report import png_bytes, write_page
     from fluxtwin.scenarios.page import FigureBlock, Page, PageSection
     from fluxtwin.sim.base import files
@@ -110,40 +107,23 @@ def _draw(flown: Ensemble) -> list[Path]:
         blocks = [FigureBlock("envelope", caption, drawn)]
     lost = [f"lost: vehicle {one['vehicle']}: {one['reason']}" for one in found["why_lost"][:3]]
     pointing, worst = found["figures"].get("pointing_rms_deg"), "K"
-    verdict = f"{found['vehicles'] - found['lost']} of {found['vehicles']} vehicles flew to the end."
     if pointing is not None and pointing["vehicle_of_max"] is not None:
         worst = str(pointing["vehicle_of_max"])
-        verdict += (
-            f" Pointing error, rms over the flight: median {pointing['p50']:.2g} deg; 95 % of the vehicles are below "
-            f"{pointing['p95']:.2g} deg; the worst, vehicle {worst}, has {pointing['max']:.2g} deg."
-        )
     page = Page(
         title=f"{found['vehicles']} vehicles of {found['name'] or 'a scenario'}",
-        verdict=verdict,
+        verdict=ensemble_sentence(flown),
         next_step=f"fluxtwin ensemble with --extract {worst} writes the scenario of vehicle {worst}, to fly it alone.",
-        sections=[PageSection("What came out", lost, [_table(flown)], blocks)],
+        sections=[PageSection("What came out", lost, [ensemble_table(flown)], blocks)],
         provenance={"seed": str(found["seed"]), "span": " to ".join(found["span"]), "samples": str(found["samples"])},
     )
     return [*written, write_page(page, flown.folder / "report.html")]
 
 
-def _table(flown: Ensemble) -> Table:
-    from fluxtwin.scenarios.page import Table
-
-    found = flown.summary
-    rows = [[name, *(_seen(spread[key]) for key in _SHOWN)] for name, spread in found["figures"].items()]
-    columns = ("quantity of a vehicle", "mean", "std", "5 %", "50 %", "95 %", "99 %", "max", "max in vehicle")
-    return Table(f"{found['vehicles']} vehicles of {found['name']}, seed {found['seed']}", columns, rows)
-
-
-def _seen(value: Any) -> Any:
-    """Rounding errors of what is zero, some 1e-15, as zero."""
-    return 0.0 if isinstance(value, float) and abs(value) < _ROUNDING else value
-
-
 def _show(output: Output, flown: Ensemble, drawn: list[Path]) -> None:
+    from fluxtwin.flying import ensemble_table
+
     found = flown.summary
-    output.tables([_table(flown)])
+    output.tables([ensemble_table(flown)])
     for one in found["why_lost"][:3]:
         output.say(f"lost: vehicle {one['vehicle']}: {one['reason']}")
     if found["lost"]:

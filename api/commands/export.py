@@ -12,8 +12,6 @@ from fluxtwin.console import Output
 
 BRIEF = "Write a calibration for flight software, and the error that its number format adds."
 
-_SEEN_NT = 1e-6  # less is the arithmetic of this computer
-
 
 def command(
     output: Output,
@@ -32,8 +30,6 @@ def command(
     A calibration that the target cannot hold, or would refuse itself, is refused without --force.
     """
     from fluxtwin import flight_software
-    from fluxtwin.calib.common.digits import plain
-    from fluxtwin.calib.onboard.export import FIELDS_NT
 
     output.claim({}, [calibration, out])  # the JSON is neither of them
     made = flight_software.export(calibration, to, out, instance=instance, force=output.force)
@@ -41,15 +37,8 @@ def command(
     output.say(f"source: {made.source}")
     output.say()
     output.table("", ["number", "value", "unit"], [[one.name, one.text, one.unit] for one in made.numbers])
-    low, high = (f"{size / 1e3:.0f}" for size in FIELDS_NT)
-    output.say(f"added error, the largest over fields of {low} to {high} uT in any direction:")
-    for why, error in (
-        ("the rounding of its numbers", made.rounding),
-        ("a symmetric M, whose rotation is lost", made.form),
-        ("numbers that it ignores", made.passed_over),
-    ):
-        if error is made.rounding or error.largest_nT > _SEEN_NT:
-            output.say(f"  {plain(error.largest_nT, 2)} nT, {plain(error.largest_deg, 2)} deg by {why}")
+    for line in made.lines:
+        output.say(line)
     for note in made.notes:
         output.prose(f"- {note}", indent="  ")
     output.say(f"  {out}")

@@ -15,6 +15,7 @@ from fluxtwin.calib.common.conventions import (
     offset_first_from_correction,
     polar_split,
 )
+from fluxtwin.calib.common.digits import plain
 from fluxtwin.calib.common.direction import ROWS, even_directions
 from fluxtwin.calib.common.records import Calibration
 from fluxtwin.calib.onboard.target import Number, Target
@@ -22,6 +23,7 @@ from fluxtwin.calib.onboard.targets import NAMES, TARGETS, find_target
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.limits import text_of
 from fluxtwin.sim.base.seals import require_sealed
+from fluxtwin.sim.base.shown import Shown
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.earth.frames import angle_between
@@ -30,6 +32,7 @@ FIELDS_NT = (20e3, 60e3)
 """Field sizes in low orbit, over which the added error is given."""
 WORST_FORM_DEG = 1.0
 """A target that turns the field by more, because M is symmetric there, is refused."""
+_SEEN_NT = 1e-6  # less is the arithmetic of this computer
 
 
 @dataclass(frozen=True)
@@ -41,7 +44,7 @@ class AddedError:
 
 
 @dataclass(frozen=True)
-class Export:
+class Export(Shown):
     """A calibration in the form of one target."""
 
     to: str
@@ -61,6 +64,20 @@ class Export:
     """The file."""
     comment: str
     """What begins a comment in it; empty for none."""
+
+    @property
+    def lines(self) -> tuple[str, ...]:
+        """The added error in sentences."""
+        low, high = (f"{size / 1e3:.0f}" for size in FIELDS_NT)
+        said = [f"added error, the largest over fields of {low} to {high} uT in any direction:"]
+        for why, error in (
+            ("the rounding of its numbers", self.rounding),
+            ("a symmetric M, whose rotation is lost", self.form),
+            ("numbers that it ignores", self.passed_over),
+        ):
+            if error is self.rounding or error.largest_nT > _SEEN_NT:
+                said.append(f"  {plain(error.largest_nT, 2)} nT, {plain(error.largest_deg, 2)} deg by {why}")
+        return tuple(said)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers and text for JSON."""

@@ -218,6 +218,15 @@ class Telemetry(Shown):
 
         return selected(self, where=condition)
 
+    def __getitem__(self, rows: Any) -> Telemetry:
+        """`select`, or `between` for a slice of times: `record[record.sunlit == 1]`, `record["2026-03-01":"2026-03-02"]`."""
+        ends = (rows.start, rows.stop) if isinstance(rows, slice) else ()
+        if any(isinstance(one, str | datetime | np.datetime64) for one in ends):
+            return self.between(*ends)
+        return self.select(rows if isinstance(rows, slice) else np.atleast_1d(rows))
+
+    __iter__ = None  # rows are no records
+
     def select(self, rows: BoolArray | slice | np.ndarray) -> Telemetry:
         """The record cut to `rows` (a mask, a slice or increasing indices)."""
         changes: dict[str, object] = {"time": self.time[rows]}

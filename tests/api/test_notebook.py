@@ -88,6 +88,29 @@ def test_yaw_attitude_and_trend_show_themselves(flown: fluxtwin.Telemetry) -> No
     plt.close("all")
 
 
+def test_what_is_exported_and_an_ensemble_show_themselves(flown: fluxtwin.Telemetry, tmp_path: Path) -> None:
+    made = fluxtwin.export(fluxtwin.calibrate(flown).calibration, "gomspace")
+    for said in (made.formula, *(number.name for number in made.numbers), made.notes[0]):
+        assert said in made.report() and said in words(made._repr_html_())
+    many = fluxtwin.ensemble("cubesat", 2, tmp_path / "many", jobs=1)
+    pointing = many.summary["figures"]["pointing_rms_deg"]
+    assert f"{pointing['max']:.2g} deg" in many.report() and "pointing_rms_deg" in words(many._repr_html_())
+    assert many.envelope is not None
+    drawn = [line.get_ydata() for line in many.plot().get_lines()[::2]]
+    assert np.array_equal(drawn, [many.envelope.median_deg, many.envelope.p95_deg, many.envelope.max_deg])
+    plt.close("all")
+
+
+def test_a_record_is_sliced_by_mask_and_by_time(flown: fluxtwin.Telemetry) -> None:
+    mask = np.arange(len(flown)) % 3 == 0
+    assert np.array_equal(flown[mask].time, flown.time[mask])
+    first, last = str(flown.time[10]), str(flown.time[20])
+    assert np.array_equal(flown[first:last].time, flown.time[10:20])  # type: ignore[misc]
+    assert np.array_equal(flown[5:9].mag_B_nT, flown.mag_B_nT[5:9]) and len(flown[7]) == 1
+    with pytest.raises(TypeError):
+        iter(flown)  # type: ignore[call-overload]
+
+
 class Kernel:
     """What is needed of IPython: the shell of a kernel, the events of its cells, and what it displays."""
 
@@ -142,6 +165,8 @@ def test_the_verbs_that_take_long_report_to_the_notebook(
     assert shell.shown and all(text.endswith(" %") for text in shell.shown)
     shell.after[0]()
     shell.shown.clear()
-    fluxtwin.diagnose(flown)
-    assert shell.shown
-    shell.after[0]()
+    for verb in (fluxtwin.diagnose, fluxtwin.calibrate):
+        verb(flown)
+        assert shell.shown
+        shell.after[0]()
+        shell.shown.clear()

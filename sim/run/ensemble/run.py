@@ -18,6 +18,7 @@ from fluxtwin.sim.base import files
 from fluxtwin.sim.base.errors import BadInput, NoAnswer
 from fluxtwin.sim.base.progress import Progress, silent
 from fluxtwin.sim.base.seals import sealed_json
+from fluxtwin.sim.base.shown import Shown
 from fluxtwin.sim.base.workers import require_workers, team
 from fluxtwin.sim.run.ensemble import chunk, summary
 from fluxtwin.sim.run.ensemble.plan import (
@@ -33,7 +34,7 @@ from fluxtwin.sim.scenario.scenario import Scenario, load_scenario
 
 
 @dataclass(frozen=True)
-class Ensemble:
+class Ensemble(Shown):
     """An ensemble that has flown; everything else is in its folder."""
 
     folder: Path

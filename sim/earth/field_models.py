@@ -90,10 +90,10 @@ class FieldModel:
     def _refuse(self, stamps: np.ndarray) -> None:
         times = stamps.astype("datetime64[ns]")
         outside = (times < self.knots[0]) | (times > self.knots[-1])
-        row = int(np.argmax(outside))
+        row, count = int(np.argmax(outside)), int(outside.sum())
+        at, so = (f" in row {row + 1}", f" ({count} of {times.size} rows are)") if times.size > 1 else ("", "")
         raise OutOfRange(
-            f"{epoch.iso(times[row])} in row {row + 1} is outside the field model {self.name} "
-            f"({int(outside.sum())} of {times.size} epochs are)",
+            f"{epoch.iso(times[row])}{at} is outside the field model {self.name}{so}",
             where="time",
             wanted=f"{epoch.iso(self.valid_from)} to {epoch.iso(self.valid_to)}",
         )

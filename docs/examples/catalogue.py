@@ -291,15 +291,15 @@ def _escaped(text: str) -> str:
 HEAD = """# Catalogue of effects
 
 These are the {count} effects that may happen in reality and that a simulation may lack, in physical order
-(`python docs/examples/catalogue.py` writes this page; `fluxtwin effects NAME` prints a section for a scenario). Of each
-there are the keys of `[effects.NAME]` in a [scenario](scenario.md#effectsname), with the number of components in brackets,
-the typical size, at which the search begins, and the physical range if it has ends; then the frame in which the effect is
-constant, and the quantity that it follows. Zero means that the effect is absent.
+(`python docs/examples/catalogue.py` writes this page; `fluxtwin effects NAME` prints a section for a scenario). Zero means
+that the effect is absent. The first lines of each list have the keys of `[effects.NAME]` in a
+[scenario](scenario.md#effectsname): number of components in brackets, typical size, at which the search begins, and
+physical range if it has ends. Then follow the frame in which the effect is constant, and the quantity that it follows.
 
-*Looks like* follows from the design alone, before any data: the share of an effect's signature that
-another effect can imitate, with `bias` and `scale_misalignment` fitted as well, if it is {alike:.0f} % or
-more, for one cubesat over six orbits in three designs: {designs}. Two effects that imitate each
-other by 98 % or more are named as a group. A design in which they do not look alike separates them.
+*Looks like* is the share of an effect's signature that another effect can imitate, with `bias` and `scale_misalignment`
+fitted as well, if it is {alike:.0f} % or more. It follows from the design alone, before any data, here for one cubesat over
+six orbits in three designs: {designs}. Two effects that imitate each other by 98 % or more are named as a
+group. A design in which they do not look alike separates them.
 
 The figures show what an effect of typical size in all its components adds to the residual in two
 orbits of these designs, without noise and with `bias` and `scale_misalignment` fitted (except for these two). Effects

@@ -34,8 +34,8 @@ class FieldEpoch(SignalEffect):
     follows = None
     settled_by = "a slow tumble of 0.25 deg/s"
     about = (
-        "the real field is that of the model this many years (of 365.25 days) after the stamp: a model evaluated "
-        "at a fixed old epoch, or a wrong forecast of the secular variation; beyond its last epoch the model's "
+        "the real field is that of the model this many years (of 365.25 days) after the stamp, because the model was "
+        "evaluated at a fixed old epoch or its secular variation is a wrong forecast. Beyond its last epoch the model's "
         "last yearly change continues (IGRF-14: up to about 100 nT per year)"
     )
     parameters = (Parameter("ahead", "yr", 1.0, -20.0, 20.0),)
@@ -84,9 +84,9 @@ class FieldTruncation(SignalEffect):
     follows = None
     settled_by = "a whole day, so that all longitudes are covered"
     about = (
-        "real field and model differ by the share given (1: wholly) of the degrees above N; truth = poorer: the "
-        "real field lacks those degrees of the model; truth = richer: the real field has those of IGRF-14 up to "
-        "13, which the model lacks"
+        "real field and model differ by this share (1: wholly) of the degrees above N. With truth = poorer the real "
+        "field lacks those degrees of the model; with truth = richer it has those of IGRF-14 up to 13, which the model "
+        "lacks"
     )
     parameters = (Parameter("share", "1", 1.0, -2.0, 2.0),)
 
@@ -146,8 +146,8 @@ class RingCurrent(SignalEffect):
     settled_by = "a slow tumble of 0.25 deg/s, or days of different Dst"
     about = (
         "external field along the geomagnetic dipole axis, northward at the dipole equator, so negative in a storm as "
-        "Dst is; 0.27 of it enters again as an internal dipole field (Langel & Estes 1985), so that Dst on the ground "
-        "is 1.27 times the parameter; constant, or decaying from the first stamp (Burton et al. 1975: 7.7 h)"
+        "Dst is. It is constant, or decays from the first stamp on (Burton et al. 1975: 7.7 h). 0.27 of it enters again "
+        "as an internal dipole field (Langel & Estes 1985), so that Dst on the ground is 1.27 times the parameter"
     )
     parameters = (Parameter("external", "nT", 50.0, -2000.0, 2000.0),)
     bound = "the ring current changes from hour to hour: take the Dst of the day"

@@ -94,10 +94,10 @@ class AlongTrackError(Drifting):
     frame = "orbital"
     settled_by = "a rotation of the body; a slow tumble of 0.25 deg/s is enough"
     about = (
-        "the reported position is ahead of the true one by this arc along the orbit and, with course = "
-        "linear, by this much more each hour; two-line elements are wrong by 1-5 km at their epoch and tens "
-        "of km a week later, nearly all of it along track (Vallado & Cefola 2012); if the satellite is "
-        "confused with another of the same launch, by up to half an orbit"
+        "the reported position is ahead of the true one by this arc along the orbit and, with course = linear, by this "
+        "much more each hour. Two-line elements are wrong by 1-5 km at their epoch and by tens of km a week later, "
+        "nearly all of it along track (Vallado & Cefola 2012); those of another satellite of the same launch, by up to "
+        "half an orbit"
     )
     both = (Parameter("ahead", "km", 5.0, -20_000.0, 20_000.0), Parameter("rate", "km/h", 0.5, -1000.0, 1000.0))
     rate_s = 3600.0

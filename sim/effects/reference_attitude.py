@@ -40,7 +40,7 @@ class SunSensorHeadMisalignment(SignalEffect):
         "for half an orbit"
     )
     about = (
-        "while head k is in use, the reported attitude is rotated by this rotation vector, body axes: a field v is "
+        "while head k is in use, the reported attitude is rotated by this rotation vector in body axes, so a field v is "
         "predicted as v + turn x v (mounting error as in Wertz 1978, section 7.1; tenths of a degree before alignment "
         "in flight)"
     )
@@ -120,10 +120,10 @@ class YawDrift(SignalEffect):
     follows = "time"
     settled_by = "a second attitude sensor through the eclipse"
     about = (
-        "reported yaw (3-1-2, so about nadir; or, with axis = body_z, the rotation about body z) is too large"
-        " by rate x time since the first stamp or, with when = eclipse, since entering the shadow, and zero "
-        "outside it: drift of the gyro that propagates yaw while no sensor measures it (rate integration, "
-        "Wertz 1978, section 6.5: 0.01-0.1 deg/h for a good gyro, 10 deg/h for a small one)"
+        "reported yaw (3-1-2, so about nadir; with axis = body_z the rotation about body z) is too large by rate x time "
+        "since the first stamp or, with when = eclipse, since entering the shadow, and right outside it. So drifts the "
+        "gyro that propagates yaw while no sensor measures it (rate integration, Wertz 1978, section 6.5: 0.01-0.1 "
+        "deg/h for a good gyro, 10 deg/h for a small one)"
     )
 
     def condition_on(self, setting: Setting) -> str | None:
@@ -171,9 +171,9 @@ class AttitudeStep(TurningStep):
     settled_by = "a second attitude sensor, or a second magnetometer, during the step"
     equivalent_stages = ("sensor", "spacecraft")
     about = (
-        "from a moment on, the reported attitude is rotated by this rotation vector, body axes: a field v is predicted as "
-        "v + turn x v (a different sensor in use, or a different alignment table; mounting errors are tenths of a degree "
-        "before alignment in flight: Wertz 1978, section 7.1)"
+        "from that moment on, the reported attitude is rotated by this rotation vector in body axes, so a field v is "
+        "predicted as v + turn x v (another sensor in use, or another alignment table; mounting errors are tenths of a "
+        "degree before alignment in flight: Wertz 1978, section 7.1)"
     )
 
     def apply(self, signal: Signal, theta: FloatArray) -> Signal:

@@ -214,8 +214,8 @@ class AxisSkew(SignalEffect):
     settled_by = "a spin of 2 rpm about each axis in turn"
     equivalent_stages = ("time",)
     about = (
-        "component i is sampled dt_i later than the stamp, which is that of x: one converter samples the axes in "
-        "turn (PNI RM3100: three axes at 147 Hz, so 2 ms apart; tenths of a second where a slow bus polls them)"
+        "component i is sampled dt_i later than the stamp, which is that of x, because one converter samples the axes "
+        "in turn (PNI RM3100: three axes at 147 Hz, so 2 ms apart; tenths of a second where a slow bus polls them)"
     )
     parameters = vector_parameters("dt", "s", 0.1, -30.0, 30.0, axes="yz")
 

@@ -124,9 +124,9 @@ class GravityGradientInertiaError(DynamicsEffect):
     follows = None
     settled_by = "slews about all three axes, or a slow tumble"
     about = (
-        "true inertia tensor minus that of the scenario; acts_in = both: in the gravity gradient 3 GM / r^3 (r x dJ r) "
-        "and in the gyroscopic torque; acts_in = torque: in the gravity gradient alone, where the trace is not observable "
-        "(Wertz 1978, section 17.2.1)"
+        "true inertia tensor minus that of the scenario. With acts_in = both it acts in the gravity gradient 3 GM / r^3 "
+        "(r x dJ r) and in the gyroscopic torque; with acts_in = torque in the gravity gradient alone, where the trace "
+        "is not observable (Wertz 1978, section 17.2.1)"
     )
     parameters = vector_parameters("inertia", "kg m2", 0.5, axes=("xx", "yy", "zz", "xy", "xz", "yz"))
     acts_in: Literal["both", "torque"] = "both"

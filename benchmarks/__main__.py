@@ -293,7 +293,7 @@ def page(lines: Sequence[Line], how: str) -> str:
     head = [
         "# Speed",
         "",
-        "Made by `python -m benchmarks --page docs/benchmarks.md` on",
+        "Made by `python -m benchmarks [--basilisk PYTHON] --page docs/benchmarks.md` on",
         f"{cpu}, {os.cpu_count()} cores, Python {platform.python_version()}; {how}.",
         "Ratios compare runs that alternate on the same machine; seconds are processor time.",
         "",

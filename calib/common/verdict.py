@@ -109,7 +109,8 @@ class Verdict:
         unseen = say("verdict.unseen_many", count=len(seen)) if len(seen) > 1 else unseen
         sigmas = []
         if self.passes is not None:
-            sigmas = [say("verdict.passes", passes=self.passes, are=" is" if f"{self.passes:.2g}" == "1" else "es are")]
+            are = "orbit or pass is" if f"{self.passes:.2g}" == "1" else "orbits or passes are"
+            sigmas = [say("verdict.passes", passes=self.passes, are=are)]
         words = [f"{head}. {self.residual}", *self.reasons, *([] if self.impossible else [degrees, *sigmas])]
         return (*words, unseen, f"Next: {self.next_step}")
 

@@ -26,7 +26,7 @@ _PREFIX = "FLUXTWIN_MAG_"
 
 
 class _Own(Target):
-    source = "the file itself"
+    source = "stated in the file"
     formula = _FORMULA
     has_torquers = True
 

@@ -113,8 +113,8 @@ class Law(SignalEffect):
     keyed_by = "term"
     settled_by = "switching what it records on and off, in several attitudes, in sunlight and in shadow"
     about = (
-        "term of a law found by sparse regression of what no other effect explains, + along the axis (Brunton, Proctor & "
-        "Kutz 2016, doi 10.1073/pnas.1517384113); diagnose never takes it for a cause of the catalogue"
+        "term of a law found by sparse regression of what no other effect explains, positive along the axis (Brunton, "
+        "Proctor & Kutz 2016, doi 10.1073/pnas.1517384113); diagnose never takes it for a cause of the catalogue"
     )
     term: str = ""
     """NAME of the term."""

@@ -59,7 +59,7 @@ class SolarArrayCurrent(SpacecraftField):
     follows = "current"
     settled_by = "steps of the load, or panels turned away from the sun, with the current in the telemetry"
     about = (
-        "the array is the solar array; + along the axis (RAX: Springmann & Cutler 2012, doi 10.2514/1.56726; "
+        "the array is the solar array; positive along the axis (RAX: Springmann & Cutler 2012, doi 10.2514/1.56726; "
         "CryoSat-2: Olsen et al. 2020)"
     )
     panel: PanelKind = "zenith"
@@ -130,7 +130,7 @@ class BatteryCurrent(SpacecraftField):
     follows = "current"
     settled_by = "steps of the load, or the taper at the end of charge, with the current in the telemetry"
     about = (
-        "the current is + when charging, the field + along the axis "
+        "the current is positive when charging, the field positive along the axis "
         "(CryoSat-2: Olsen et al. 2020, doi 10.1186/s40623-020-01171-9)"
     )
     parameters = vector_parameters("s", "nT/A", 20.0)
@@ -162,7 +162,7 @@ class Driver(SpacecraftField):
     keyed_by = "column"
     settled_by = "switching what it records on and off, in several attitudes"
     about = (
-        "late or smoothed where its settings say so, + along the axis (current loops: RAX, "
+        "late or smoothed where its settings say so, positive along the axis (current loops: RAX, "
         "Springmann & Cutler 2012, doi 10.2514/1.56726; Swarm-Echo, Broadfoot et al. 2022, doi 10.5194/gi-11-323-2022)"
     )
     column: str = ""

@@ -27,7 +27,7 @@ class HeaterSwitching(SpacecraftField):
     name = "heater_switching"
     follows = "flag:heater_on"
     settled_by = "the state of the heater in the telemetry, or an orbit with the thermostat off"
-    about = "switched by a thermostat, + along the axis (Ampere's law for the loop of the heater)"
+    about = "switched by a thermostat, positive along the axis (Ampere's law for the loop of the heater)"
     sequence: tuple[int, ...] | None = None
     """Heater off (0) or on (1), one entry a row: what a search in the residual has found."""
     switches_utc: tuple[str, ...] | None = None
@@ -90,7 +90,7 @@ class SwitchedField(SpacecraftField):
     follows = None
     settled_by = "switching it on and off in sunlight and in shadow, with its flag in the telemetry"
     about = (
-        "the condition is a flag, a clock interval, shadow, night or a region; + along the axis "
+        "the condition is a flag, a clock interval, shadow, night or a region; positive along the axis "
         "(HCMM's night passes: Lerner & Shuster 1981)"
     )
     condition: str = "eclipse"

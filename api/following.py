@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any, Unpack
 import numpy as np
 
 from fluxtwin.calib.common.apply import apply_calibration
+from fluxtwin.calib.common.digits import plain
 from fluxtwin.calib.common.records import Calibration
 from fluxtwin.diagnosing import AssumedAndReading, budget_of, declared_in, diagnose, with_assumed
 from fluxtwin.gap.diagnose import new_rounding
@@ -241,7 +242,7 @@ class _Hours:
                 size = np.sqrt(self._squares / max(self._parts, 1))
                 self._said(
                     f"{epoch.iso(self._hour, 'h')}: {self._rows} rows, residual {size:.2f} times the expected noise, "
-                    f"evidence of a change {self._watch.level:.2g} (alarm at {RUN:.0e})"
+                    f"evidence of a change {plain(self._watch.level, 2)} (alarm at {RUN:,.0f})"
                 )
                 self._rows, self._parts, self._squares = 0, 0, 0.0
             self._hour = hour

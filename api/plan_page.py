@@ -33,6 +33,7 @@ def plan_page(plan: Plan | CalibrationPlan, title: str) -> Page:
         sections=sections,
         provenance=facts,
         next_step=next_step if plan.scenario is not None else "",
+        downloads={} if plan.scenario is None else {"plan.toml": plan.scenario.to_toml()},
     )
 
 

@@ -42,7 +42,7 @@ def asked(found: Mapping[str, Any], flown: Flown, recorded: bool) -> list[Open]:
     questions = []
     for effect in found["effects"]:
         if len(effect["group"]) > 1:
-            questions += ambiguous(effect["group"], flown, flown.plausible(cause_of(effect)))
+            questions += ambiguous(effect["group"], flown, flown.plausible(cause_of(effect)), recorded)
     if found["verdict"] == "unknown" and found["resembles"]:
         alike = [name for name in found["resembles"] if isinstance(find_effect(name), SignalEffect)]
         first = flown.likeliest(alike) if recorded else None
@@ -56,12 +56,15 @@ def asked(found: Mapping[str, Any], flown: Flown, recorded: bool) -> list[Open]:
     return questions + [to_show(name) for name in asked if isinstance(find_effect(name), SignalEffect)]
 
 
-def ambiguous(names: Sequence[str], flown: Flown, first: Cause) -> list[Open]:
-    """The question which of these it is; the first as it was found, the others as they look most like it."""
+def ambiguous(names: Sequence[str], flown: Flown, first: Cause, recorded: bool = True) -> list[Open]:
+    """The question which of these it is; the first as it was found, the others as they look most like it.
+
+    recorded: whether they looked alike in what was flown; else one that does not has its typical size.
+    """
     causes = [first]
     for name in [name for name in names if name != first.name][: _MOST_ALIKE - 1]:
         other = flown.imitating(first, name)
-        if first.over and isinstance(find_effect(name), SignalEffect):
+        if (first.over or not recorded) and isinstance(find_effect(name), SignalEffect):
             # What has ended looks like nothing on a later flight.
             other = other if other is not None and other.theta.any() else typical(name)
         if other is not None and other.theta.any():  # else its sign is the wrong one

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from fluxtwin.calib.common.digits import plain
 from fluxtwin.gap.law.words import made_of
 from fluxtwin.gap.records.diagnosis import Diagnosis
 from fluxtwin.gap.report.words import at_the_end
@@ -108,7 +109,7 @@ def _law_closes(answer: Answer) -> str:
     law = answer.found.law
     if law is None or not law.terms or law.closed is None:
         return ""
-    return f"{law.before_nT:.3g} to {law.after_nT:.3g} nT, {100 * law.closed:.0f} %"
+    return f"{plain(law.before_nT)} to {plain(law.after_nT)} nT, {100 * law.closed:.0f} %"
 
 
 def page_values(outcome: Outcome) -> dict[str, Any]:

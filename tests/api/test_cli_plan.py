@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import inspect
 import json
+import re
+from base64 import b64decode
 from pathlib import Path
 
 import pytest
@@ -60,7 +62,9 @@ def test_from_the_confusion_to_the_answer(folder: Path, diagnosis: Diagnosis, cl
     assert first["kind"] == "tell_apart" and set(first["names"]) == set(PAIR.split(","))
     assert first["courses"][0]["power"] >= 0.95 and first["courses"][0]["hours"] <= 1.2
     assert first["as_before"]["power"] < 0.6
-    assert "data:image/png" in page.read_text(encoding="utf-8")
+    text = page.read_text(encoding="utf-8")
+    (offered,) = re.findall(r'href="data:application/octet-stream;base64,(.*?)" download="plan.toml"', text)
+    assert b64decode(offered).decode("utf-8") in out.read_text(encoding="utf-8") and "data:image/png" in text
     flown = fluxtwin.load_scenario(out).updated({"effects.time_tag_offset.offset_s": 4.0})
     after = fluxtwin.diagnose(fluxtwin.simulate(flown)[0], noise_nT=50, lsb_nT=10, attitude_sigma_deg=0.05)
     assert after.effects[0].name == "time_tag_offset" and "along_track_error" not in after.effects[0].group

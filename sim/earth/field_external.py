@@ -88,15 +88,10 @@ def read_magnetosphere(path: Path | str) -> MagnetosphericModel:
     where = str(path)
     if not Path(path).is_file():
         raise BadInput("no such file", where=where, wanted="a CHAOS file, .mat")
-    try:
-        found = mat_variables(path, [*_COEFFICIENTS, *_OFFSETS, *_BREAKS])
-        sm, gsm, dst, dipole = (np.ravel(found[name]) for name in _COEFFICIENTS)
-        edges = tuple(stamps_mjd2000(np.ravel(found[name])) for name in _BREAKS)
-        offsets = (np.ravel(found["model_ext.q10"]), found["model_ext.qs11"])
-    except BadInput:
-        raise
-    except (ValueError, IndexError) as error:
-        raise BadInput(f"cannot be read ({error})", where=where, wanted="a CHAOS .mat file") from None
+    found = mat_variables(path, [*_COEFFICIENTS, *_OFFSETS, *_BREAKS])
+    sm, gsm, dst, dipole = (np.ravel(found[name]) for name in _COEFFICIENTS)
+    edges = tuple(stamps_mjd2000(np.ravel(found[name])) for name in _BREAKS)
+    offsets = (np.ravel(found["model_ext.q10"]), np.atleast_2d(found["model_ext.qs11"]))
     sizes = (sm.size, gsm.size, dst.size, dipole.size)
     bins_fit = all(e.size == o.shape[0] + 1 for e, o in zip(edges, offsets, strict=True))
     if sizes != (8, 2, 3, 3) or not bins_fit:

@@ -201,9 +201,7 @@ def open_csv(path: Path | str, *, max_samples: int = MAX_SAMPLES) -> CsvFile:
     notices: list[str] = []
     data, above = without_comments(data, notices)
     data = _with_commas(data, notices, where, above)
-    head, newline, body = data.partition(b"\n")
-    if not newline:
-        raise BadInput("there are no rows", where=where, wanted="a header and at least one row of data")
+    head, _, body = data.partition(b"\n")
     names = _names(head, where)
     body = _whole_rows(body, notices, where)
     if any(map(_CHECKS.fullmatch, names)):

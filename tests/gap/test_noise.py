@@ -25,7 +25,7 @@ from fluxtwin.gap.noise.budget import (
 from fluxtwin.gap.noise.choice import _affordable, choose_noise, complete_budget, select_noise
 from fluxtwin.gap.noise.kernels import predict_each
 from fluxtwin.gap.noise.reml import Data, Likelihood
-from fluxtwin.gap.noise.robust_rows import first_weights, standing_out, weights_of
+from fluxtwin.gap.noise.robust_rows import first_weights, spike_weights, standing_out, weights_of
 from fluxtwin.gap.noise.whitening import NoiseModel, Whitener, make_whitener, with_walk
 from fluxtwin.gap.problem.problem import Budget, Problem, pose
 from fluxtwin.gap.problem.row_axes import turn_images
@@ -176,6 +176,8 @@ def test_each_component_is_predicted_by_all_others(close: Close) -> None:
         turn_images(w.field), w.seconds, w.segment, NoiseModel(7.0, theta, tau), weights, covariance=True
     )
     predict_each(known.load, known.decay, known.gains, known.covariance, weights, own, w.noise / 7.0, found, plain)
+    in_nT = spike_weights(w.noise, known, np.ones((40, 3), dtype=bool))[1]
+    close(in_nT, 7.0 * plain, atol=1e-9, unit="nT", because="rounding of the same in nT")
     A, y = dense_attitude(w, theta, tau) / 49.0, w.noise.ravel() / 7.0
     used = np.flatnonzero(weights.ravel() > 0)
     for i in range(120):

@@ -101,6 +101,8 @@ def test_a_file_written_by_hand_needs_three_keys(tmp_path: Path) -> None:
         (('"blocks"', '"pink"'), "covariance_kind: 'pink' is not known"),
         (('"igrf1975"', "1975"), r"field_model: text is wanted \(found 1975\)"),
         (("1978-08-15T06:43:00Z", "1977-08-15T06:43:00Z"), "ends before it begins"),
+        (('    "1978-08-15T06:43:00Z",\n', ""), "span: .*two UTC stamps, first and last"),
+        (("samples = 325", "samples = 325\ntemperature_degC = [20.0, 10.0]"), r"\[20.0, 10.0\].*lowest and highest"),
         (("1978-08-15T06:43:00Z", "yesterday"), "'yesterday' is not a time"),
     ],
 )

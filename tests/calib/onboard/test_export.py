@@ -203,6 +203,24 @@ def test_a_file_of_several_magnetometers_and_a_damaged_one(tmp_path: Path) -> No
         fluxtwin.import_calibration(path)
 
 
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ('{"formula": "", "M": "one"}', "is not the JSON of fluxtwin export"),
+        ("M = [1 0 x; 0 1 0; 0 0 1];\n", "is no array of numbers"),
+        ("M = [1 0 0; 0 1 0; 0 0 1];\n", "o is missing"),
+        ("M = [1 0 0; 0 1 0];\no = [1 2 3];\n", "M is not 9 finite numbers"),
+        ("rparam set gain 1.0\n", r"\[0\] is not set"),
+        ("COMPASS_OFS_X,1.0\nCOMPASS_OFS_X,2.0\n", "COMPASS_OFS_X stands twice"),
+    ],
+)
+def test_files_of_flight_software_that_hold_no_calibration(tmp_path: Path, text: str, said: str) -> None:
+    (tmp_path / "held.txt").write_text(text, encoding="utf-8")
+    with pytest.raises(BadInput, match=said) as caught:
+        fluxtwin.import_calibration(tmp_path / "held.txt")
+    assert "held.txt" in str(caught.value)
+
+
 @pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
 def test_the_header_compiles_and_corrects(tmp_path: Path) -> None:
     known = calibration_of(0.05 * np.random.default_rng(2).normal(size=(3, 3)), np.array([100.0, -2000.0, 30.0]))

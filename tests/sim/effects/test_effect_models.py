@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,12 +11,14 @@ import pytest
 from scipy.integrate import trapezoid
 from scipy.spatial.transform import Rotation
 
+from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.late import low_pass, restarts
 from fluxtwin.sim.base.types import FloatArray, TimeArray
 from fluxtwin.sim.earth import epoch, frames
 from fluxtwin.sim.earth.field_models import load_field
 from fluxtwin.sim.effects.base import SignalEffect
 from fluxtwin.sim.effects.calibration import ScaleMisalignment
+from fluxtwin.sim.effects.catalogue import find_effect
 from fluxtwin.sim.effects.chain import Chain
 from fluxtwin.sim.effects.digits import BitErrors, CoarseQuantization
 from fluxtwin.sim.effects.drivers import STANDARD_SWING_K, orbital_period_s, temperature_K
@@ -24,6 +26,7 @@ from fluxtwin.sim.effects.history import play
 from fluxtwin.sim.effects.response import CubicNonlinearity, Hysteresis, QuadraticNonlinearity, SensorLag
 from fluxtwin.sim.effects.signal import Setting, Signal
 from fluxtwin.sim.effects.spacecraft_field import EddyCurrent, SolarArrayCurrent, TorquerCoupling, WheelField
+from fluxtwin.sim.effects.switched_field import HeaterSwitching
 from fluxtwin.sim.effects.temperature import BoomBending, ThermalScaleDrift
 from fluxtwin.sim.spacecraft.sensors.magnetometer import Magnetometer
 
@@ -235,6 +238,33 @@ def test_hysteresis_reads_low_on_the_way_up(close: Callable[..., None]) -> None:
     middle = (np.abs(x) < 0.5 * np.abs(x).max()) & (np.arange(x.size) > 500)
     close(found[middle & rising, 0], -80.0, atol=1e-9, unit="nT", because="far from a turning point")
     close(found[middle & ~rising, 0], 80.0, atol=1e-9, unit="nT", because="far from a turning point")
+
+
+@pytest.mark.parametrize(
+    ("effect", "said"),
+    [
+        (Hysteresis(width_nT=0.0), "0 nT. Wanted: more than 0 nT"),
+        (Hysteresis(start="oox"), "three letters of o, r and n"),
+        (
+            HeaterSwitching(switches_utc=("2020-03-01T00:10:00Z", "2020-03-01T00:05:00Z")),
+            "switches_utc is out of order",
+        ),
+        (HeaterSwitching(sequence=(0, 1)), "2 entries for 50 rows"),
+    ],
+)
+def test_settings_that_no_effect_has(effect: SignalEffect, said: str) -> None:
+    with pytest.raises(BadInput, match=said):
+        added(spinning(np.arange(50.0)), effect, np.ones(3))
+
+
+def test_an_effect_that_is_not_in_the_catalogue() -> None:
+    with pytest.raises(BadInput, match=r"no effect is called 'magnet'.*lists"):
+        find_effect("magnet")
+    with pytest.raises(BadInput, match="did you mean bias"):
+        find_effect("biass")
+    assert find_effect("driver.payload") == replace(find_effect("driver.x"), column="payload")
+    with pytest.raises(TypeError, match="does not say its"):
+        type("Nameless", (SignalEffect,), {"name": "nameless"})
 
 
 def test_wheel_line_is_aliased_to_where_sampling_puts_it(close: Callable[..., None]) -> None:

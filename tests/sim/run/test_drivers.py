@@ -131,6 +131,13 @@ def test_a_file_and_a_slower_rate(scenario: Scenario, tmp_path: Path) -> None:
     (tmp_path / "load.csv").write_text("time,load_A\n" + "\n".join(rows[1:]) + "\n")
     with pytest.raises(BadInput, match=r"drivers.load: .*load.csv: its values of load_A do not cover the schedule"):
         simulate(load_scenario(tmp_path / "s.toml"))
+    for head, held, said in (
+        ("time,load_W", rows, "column load_A is missing"),
+        ("time,load_A", rows[::-1], "time does not increase"),
+    ):
+        (tmp_path / "load.csv").write_text("\n".join([head, *held, ""]))
+        with pytest.raises(BadInput, match=rf"drivers.load: .*load.csv: {said}"):
+            simulate(load_scenario(tmp_path / "s.toml"))
 
 
 @pytest.mark.parametrize(

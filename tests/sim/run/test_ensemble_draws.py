@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from worlds import scenario_text
 
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.run.ensemble.draws import drawn_values, flattened, quantile, vehicle_scenario, vehicle_seed
+from fluxtwin.sim.run.ensemble.plan import make_plan, require_same
 from fluxtwin.sim.run.simulate import simulate
 from fluxtwin.sim.scenario.draws import DrawSection
 from fluxtwin.sim.scenario.scenario import Scenario, parse_scenario
@@ -160,6 +162,7 @@ WRONG: dict[str, tuple[str, dict[str, Any], str]] = {
     "a direction of a number": ("orbit.raan_deg", {"isotropic": 1.0}, "no vector"),
     "a key without a value": ("magnetometer.lsb_nT", {"normal": 1.0}, "has no value"),
     "text that is no quantity": ("attitude.mode", {"normal": 1.0}, "only choice"),
+    "a part of a number": ("orbit.raan_deg.x", {"normal": 1.0}, "has no such key"),
     "the schedule": ("schedule.in_view_of_stations", {"choice": [True, False]}, "same for all vehicles"),
     "a limit of a uniform": ("orbit.raan_deg", {"uniform": [0.0, 1.0], "at_least": 0.5}, "nothing else"),
 }
@@ -178,3 +181,15 @@ def test_a_value_that_cannot_be_is_an_error_that_names_the_vehicle() -> None:
         vehicle_scenario(scenario, 1, 7)
     with pytest.raises(BadInput, match="leave nothing"):
         vehicle_scenario(with_draws(magnetometer__noise_nT={"normal": 1.0, "at_least": 60.0}), 1, 0)
+
+
+def test_scenarios_that_have_no_ensemble(tmp_path: Path) -> None:
+    replay = parse_scenario(TEXT).updated({"orbit": None, "schedule": None, "replay.telemetry": "t.nc"})
+    with pytest.raises(BadInput, match=r"\[replay\] flies what one vehicle did"):
+        make_plan(replay, 3)
+    seen = {"station": {"here": {"latitude_deg": 60.0, "longitude_deg": 20.0}}, "schedule.in_view_of_stations": True}
+    with pytest.raises(BadInput, match="with drawn orbits every vehicle has other passes"):
+        make_plan(with_draws(orbit__raan_deg={"normal": 1.0}).updated(seen), 3)
+    (tmp_path / "record.json").write_text("{}", encoding="utf-8")
+    with pytest.raises(BadInput, match="cannot be read as the record of what was flown"):
+        require_same(make_plan(parse_scenario(TEXT), 3), tmp_path, "record.json")

@@ -214,6 +214,16 @@ def test_replay_keeps_the_record_and_simulates_the_magnetometer(scenario, run, t
     write_telemetry(lacking, tmp_path / "recorded.nc")
     with pytest.raises(BadInput, match="q_NB"):
         simulate(load_scenario(path))
+    write_telemetry(run[0].replace(q_NB=np.full_like(run[0].q_NB, np.nan)), tmp_path / "recorded.nc")
+    with pytest.raises(BadInput, match="no row has position, velocity and attitude"):
+        simulate(load_scenario(path))
+
+
+def test_a_tumble_is_about_principal_axes():
+    inertia = [[0.05, 0.001, 0.0], [0.001, 0.06, 0.0], [0.0, 0.0, 0.04]]
+    text = scenario_text('[attitude]\nmode = "spin"\nspin_rate_rpm = 1.0\n', inertia_kg_m2=inertia)
+    with pytest.raises(BadInput, match="the inertia tensor has products of inertia"):
+        simulate(parse_scenario(text))
 
 
 def test_the_elements_of_an_orbit_are_in_degrees() -> None:

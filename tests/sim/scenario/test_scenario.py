@@ -18,6 +18,7 @@ from fluxtwin.sim.scenario.sections import TorquersSection
 pytestmark = pytest.mark.property
 
 SMALL = scenario_text(seed=3)
+INERT = {"spacecraft.inertia_kg_m2": [[0.05, 0.0, 0.0], [0.0, 0.06, 0.0], [0.0, 0.0, 0.04]]}
 
 
 def test_a_saved_scenario_repeats_the_run_bit_for_bit(tmp_path):
@@ -65,7 +66,60 @@ def test_every_fault_is_listed_at_once():
         assert part in str(caught.value)
 
 
-@pytest.mark.parametrize("content", [b"\xff\xfe\x00", b"a = [" * 20000, b"x = 1" * 300000, b"seed = ", b""])
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"replay": {"telemetry": "t.nc"}}, "leave [orbit] out"),
+        ({"replay": {"telemetry": "t.nc"}, "orbit": None, "attitude.mode": "dynamics", **INERT}, "needs an orbit"),
+        (
+            {
+                "replay": {"telemetry": "t.nc"},
+                "orbit": None,
+                "sampling.magnetometer_2.every_s": 60.0,
+                "magnetometer_2.position_m": [1.0, 0.0, 0.0],
+            },
+            "leave [sampling] out",
+        ),
+        ({"sun_sensor": {"front": {"azimuth_deg": 0.0}}}, "heads are numbered"),
+        ({"attitude.reference.source": "sensors"}, "needs sun sensors"),
+        (
+            {"attitude.reference.source": "sensors", "sun_sensor": {"1": {"azimuth_deg": 0.0}}},
+            "needs a [horizon_scanner]",
+        ),
+        ({"orbit.altitude_km": 400000.0}, "looks like metres"),
+        ({"orbit.tle": "e.tle"}, "not both"),
+        ({"attitude.shortest_period_min": 500.0}, "shortest_period_min is longer"),
+        ({"attitude.mode": "slews"}, "at least two waypoints"),
+        ({"orbit.epoch_utc": "2020-03-01T00:00:00"}, 'for UTC write "2020-03-01T00:00:00Z"'),
+        ({"orbit.epoch_utc": 2020}, "a time is needed, as"),
+        (
+            {
+                "thermal.sunlit_degC": 20.0,
+                "thermal.eclipse_degC": 0.0,
+                "thermal.time_constant_min": 9.0,
+                "thermal.heater_on_below_degC": 5.0,
+            },
+            "a heater needs both",
+        ),
+    ],
+)
+def test_sections_that_do_not_go_together(changes, said):
+    with pytest.raises(BadInput) as caught:
+        parse_scenario(SMALL).updated(changes)
+    assert said in str(caught.value)
+
+
+@pytest.mark.parametrize("zone", ["", "+02:00"])
+def test_a_date_of_toml_says_that_it_is_utc(zone):
+    text = SMALL.replace('epoch_utc = "2020-03-01T00:00:00Z"', f"epoch_utc = 2020-03-01T00:00:00{zone}")
+    assert text != SMALL
+    with pytest.raises(BadInput, match="a time needs UTC: end it with Z"):
+        parse_scenario(text)
+
+
+@pytest.mark.parametrize(
+    "content", [b"\xff\xfe\x00", b"a = [" * 20000, b"x = 1" * 300000, b"seed = ", b"", b"#" * 1_000_001]
+)
 def test_files_that_are_no_scenario(tmp_path, content):
     path = tmp_path / "bad.toml"
     path.write_bytes(content)

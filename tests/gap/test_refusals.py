@@ -1,0 +1,57 @@
+"""Records of which no question can be asked: each message says what is missing."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from worlds import small_record
+
+from fluxtwin.calib.common.onboard import undone
+from fluxtwin.calib.common.records import Onboard
+from fluxtwin.calib.common.residuals import residual_statistics
+from fluxtwin.gap.problem.problem import pose
+from fluxtwin.gap.watch import begin
+from fluxtwin.sim.base.errors import BadInput, FluxtwinError, NoAnswer
+from fluxtwin.sim.earth.field_models import load_field
+
+pytestmark = pytest.mark.property
+
+RECORD = small_record(12)
+MODEL = load_field("igrf14", degree=2)
+NOTHING = np.full((12, 3), np.nan)
+
+
+@pytest.mark.parametrize(
+    ("changes", "modelled", "said"),
+    [
+        ({"r_N_km": None, "v_N_km_s": None}, (), "the telemetry has no position"),
+        ({"mag_B_nT": NOTHING}, (), "no row has reading and position"),
+        ({"mag_B_nT": np.zeros((12, 3))}, (), "reads zero throughout"),
+        ({}, ("excess_noise",), "excess_noise has no parameters to re-estimate"),
+        ({}, ("driver.payload",), "driver.payload: .*Wanted: the name of a column that changes"),
+        ({}, ("biass",), "did you mean bias"),
+    ],
+)
+def test_a_record_or_an_effect_that_asks_nothing(changes: dict[str, Any], modelled: tuple[str, ...], said: str) -> None:
+    with pytest.raises(FluxtwinError, match=said):
+        pose(RECORD.replace(**changes), MODEL, modelled=modelled)
+
+
+def test_one_row_has_no_velocity() -> None:
+    with pytest.raises(NoAnswer, match="one row alone has no velocity"):
+        pose(small_record(1), MODEL, modelled=())
+
+
+def test_a_watch_needs_rows_to_begin_with() -> None:
+    with pytest.raises(NoAnswer, match="the record ends after 12 rows: to watch for a change"):
+        begin(RECORD, MODEL)
+
+
+def test_readings_corrected_twice_and_residuals_of_nothing() -> None:
+    corrected = RECORD.replace(provenance={"calibration": "c.toml"})
+    with pytest.raises(BadInput, match=r"corrected already on the ground \(by c.toml\)"):
+        undone(corrected, Onboard("x.param", np.eye(3), np.zeros(3)))
+    with pytest.raises(NoAnswer, match="there is no residual"):
+        residual_statistics(RECORD.time, NOTHING)

@@ -4,11 +4,13 @@ python -m benchmarks.trust                 all of it: about half an hour; the ta
 python -m benchmarks.trust --quick         a little of each: does it still hold?
 python -m benchmarks.trust --mutants 200000 --only hostile
 python -m benchmarks.trust --only tests --record FILE    what benchmarks/mutants.py has found about the tests
+python -m benchmarks.trust --only reached --coverage FILE   what `coverage json` has found (CONTRIBUTING.md)
 """
 
 from __future__ import annotations
 
 import argparse
+import ast
 import json
 import os
 import subprocess
@@ -40,8 +42,8 @@ with others, in which an end by a signal would be noticed.
 
 - *While a file is written*: the old or the new file must be whole, with a message and exit 2, and nothing else left.
 - *Commit*: the one that was tried. A row that was not tried again keeps its own.
-- The last row is about the tests: `benchmarks/mutants.py` puts one small fault at a time into the product
-  ([those not noticed](design/unnoticed.md)).
+- The last rows are about the tests: `benchmarks/mutants.py` puts one small fault at a time into the product
+  ([those not noticed](design/unnoticed.md)), and coverage.py counts what they reach, compiled code run as Python.
 
 | trial | how many | faults | wanted | found | commit |
 |---|---|---|---|---|---|
@@ -60,7 +62,9 @@ def sections(options: argparse.Namespace) -> dict[str, Callable[[Path], list[Row
         "texts": lambda place: [repeat.texts(place, quick=quick)],
         "same bits": lambda place: repeat.same_bits(place, quick=quick),
         "places": lambda place: [repeat.places(place, quick=quick)],
-    } | ({"tests": lambda place: [unnoticed(options.record)]} if options.record else {})
+        **({"tests": lambda place: [unnoticed(options.record)]} if options.record else {}),
+        **({"reached": lambda place: reached(options.coverage)} if options.coverage else {}),
+    }
 
 
 def unnoticed(record: Path) -> Row:
@@ -74,6 +78,27 @@ def unnoticed(record: Path) -> Row:
     first = sum(not one.first for one in answers)
     row.note = f"drawn with seed {seed}; {first} when first tried, before tests were written for them"
     return row
+
+
+def reached(report: Path) -> list[Row]:
+    """Statements, branches and messages of sim, calib and gap that no test reached, from the JSON of coverage.py."""
+    found = json.loads(report.read_text(encoding="utf-8"))["files"]
+    row = Row("statements and branches of sim, calib and gap that no test reaches", reach="5 % at most of each")
+    said = Row("messages of errors in sim, calib and gap that no test produces")
+    shares: dict[str, list[int]] = {}
+    for name, file in found.items():
+        counts, total = file["summary"], shares.setdefault(name.split("/")[0], [0, 0])
+        total[0] += counts["covered_lines"] + counts["covered_branches"]
+        total[1] += counts["num_statements"] + counts["num_branches"]
+        row.faults += [f"{name}: {place}" for place in (*file["missing_lines"], *file["missing_branches"])]
+        for one in ast.walk(ast.parse((PAGE.parents[1] / name).read_text(encoding="utf-8"))):
+            if isinstance(one, ast.Raise) and isinstance(one.exc, ast.Call):
+                said.trials += 1
+                if not set(range(one.lineno, (one.end_lineno or 0) + 1)) & set(file["executed_lines"]):
+                    said.fault(f"{name}: {one.lineno}: {ast.unparse(one.exc)}")
+    row.trials = sum(whole for _, whole in shares.values())
+    row.note = ", ".join(f"{name} {100.0 * part / whole:.1f} % reached" for name, (part, whole) in shares.items())
+    return [row, said]
 
 
 def measured(options: argparse.Namespace) -> Iterator[Row]:
@@ -119,6 +144,7 @@ def main() -> int:
     parser.add_argument("--disk", type=int, help="faults while a file is written")
     parser.add_argument("--only", action="append", help="this part alone; repeatable")
     parser.add_argument("--record", type=Path, metavar="FILE", help="what benchmarks/mutants.py wrote")
+    parser.add_argument("--coverage", type=Path, metavar="FILE", help="what `coverage json` wrote")
     parser.add_argument("--json", type=Path, help="write the rows here")
     options = parser.parse_args()
     sizes = {

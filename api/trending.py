@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from fluxtwin.calib.trend import Trend
 
 DAY_H = 24.0
+_MEND = "Take longer stretches (--every), or cut this one off (--from, --to, --where)."
 
 
 @with_options
@@ -61,9 +62,13 @@ def trend(
     parts = records if hours is None else [part for record in records for part in _cut(record, hours)]
     for place, part in enumerate(parts):
         progress(f"calibrating {place + 1} of {len(parts)}", place / len(parts))
-        fit = calibrate(part, field=field, degree=degree, **options)
-        if fit.verdict is not None and fit.verdict.impossible:
-            raise NoAnswer(f"telemetry from {np.datetime_as_string(part.time[0], 's')}Z: {fit.verdict.lines[0]}")
+        since = f"telemetry from {np.datetime_as_string(part.time[0], 's')}Z"
+        try:
+            fit = calibrate(part, field=field, degree=degree, **options)
+            if fit.verdict is not None and fit.verdict.impossible:
+                raise NoAnswer(fit.verdict.lines[0])
+        except NoAnswer as refusal:
+            raise NoAnswer(f"{since}: {str(refusal).rstrip('.')}. {_MEND}", evidence=refusal.evidence) from None
         known.append(fit.calibration)
     return found(known)
 

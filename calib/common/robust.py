@@ -17,6 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fluxtwin.sim.base.errors import NoAnswer
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 
 MAD_TO_SIGMA = 1.482602218505602
@@ -91,10 +92,12 @@ def robust_distance(r: FloatArray) -> FloatArray:
 
 
 def _weigh(distance: FloatArray, kind: str) -> tuple[FloatArray, FloatArray]:
-    """Weight w(d) and its derivative."""
+    """Weight w(d) and its derivative. Raises NoAnswer where no row has any."""
     if kind == "huber":
         outside = distance > _HUBER_AT
         safe = np.where(outside, distance, _HUBER_AT)
         return np.where(outside, _HUBER_AT / safe, 1.0), np.where(outside, -_HUBER_AT / safe**2, 0.0)
     u = np.minimum(distance / TUKEY_AT, 1.0)
+    if not (u < 1.0).any():
+        raise NoAnswer(f"each of the {len(u)} rows lies far from all others: --robust none, or more rows", evidence={})
     return (1.0 - u**2) ** 2, -4.0 * u * (1.0 - u**2) / TUKEY_AT

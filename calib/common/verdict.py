@@ -62,8 +62,8 @@ class Along(NamedTuple):
     found_nT: float
     noise_nT: float
     """From white noise and LSB."""
-    allowed: float
-    """Ratio of rms that chance and the errors of the calibration alone pass once in a thousand times."""
+    allowed_nT: float
+    """rms that chance and the errors of the calibration alone pass once in a thousand times."""
 
 
 @dataclass(frozen=True)
@@ -192,8 +192,8 @@ def _along(fit: Fit, telemetry: Telemetry, field_nT: FloatArray, kept: BoolArray
     own = float(np.einsum("nj,jk,nk->n", images, fit.calibration.covariance[:12, :12], images).mean())
     if fit.error_model is not None and fit.error_model.slow_nT > 0.0:
         own *= _not_of_slow_errors(fit.error_model, noise, telemetry.time[fit.rows][kept])
-    allowed = float(np.sqrt(chi2.ppf(1.0 - _FALSE_ALARM, len(r)) / len(r) * (1.0 + own / noise**2)))
-    return Along(float(np.sqrt((r**2).mean())), noise, allowed)
+    allowed_nT = float(np.sqrt(chi2.ppf(1.0 - _FALSE_ALARM, len(r)) / len(r) * (noise**2 + own)))
+    return Along(float(np.sqrt((r**2).mean())), noise, allowed_nT)
 
 
 def _not_of_slow_errors(model: ErrorModel, noise_nT: float, time: TimeArray) -> float:
@@ -286,7 +286,7 @@ def _limits(
 
 def _beyond_model(along: Along) -> bool:
     """Whether the residual along the field is more than noise and a field model give."""
-    return bool(along.found_nT > np.hypot(along.allowed * along.noise_nT, FIELD_MODEL_NT))
+    return bool(along.found_nT > np.hypot(along.allowed_nT, FIELD_MODEL_NT))
 
 
 def _residual_words(fit: Fit, along: Along, residual_nT: float, *, impossible: bool) -> str:
@@ -316,7 +316,7 @@ def _many_outliers(fit: Fit) -> bool:
 
 
 def _too_much_along(along: Along) -> bool:
-    return along.found_nT > float(np.sqrt(2.0)) * along.allowed * along.noise_nT
+    return along.found_nT > float(np.sqrt(2.0)) * along.allowed_nT
 
 
 def _coupling(fit: Fit, dipole_B_Am2: FloatArray | None) -> str:
@@ -330,8 +330,8 @@ def _coupling(fit: Fit, dipole_B_Am2: FloatArray | None) -> str:
 def _orbit_suspect_km(fit: Fit, telemetry: Telemetry, along: Along, strength_nT: float) -> float:
     """How far two-line elements may be off (1 sigma), where that may be what noise does not explain; else 0.
 
-    The field of a dipole changes by no more than 3 B / r per unit of length. `along.allowed` allows for what such an error
-    does, so the comparison is with noise alone.
+    The field of a dipole changes by no more than 3 B / r per unit of length. `along.allowed_nT` allows for what such an
+    error does, so the comparison is with noise alone.
     """
     km = stated_km(telemetry)
     if (

@@ -104,7 +104,8 @@ def fit_design(
     noise: of the reading, where it is known; readings less a field have lost the step in which they came.
     """
     fired = np.zeros(0, dtype=int) if design.D_Am2 is None else observability.fired_axes(design.D_Am2)
-    observability.require_samples(len(design), _SAMPLES[options.parameters] + 3 * len(design.columns))
+    wanted = _SAMPLES[options.parameters] + 3 * len(design.columns)
+    observability.require_samples(len(design), wanted)
     dipole = [design.D_Am2[:, fired]] if design.D_Am2 is not None and fired.size else []
     a = _check_weights(weights, len(design))
     only_b = options.parameters == "b"
@@ -119,6 +120,7 @@ def fit_design(
         return residuals(y, x, fit.M, fit.c)
 
     robust = robust_weights(design.B_nT - design.H_nT, refit, options.robust)
+    observability.require_samples(int(robust.kept.sum()), wanted)
     if noise is None:
         noise = reading_noise(design, refit(robust.weights), options.noise_nT, options.lsb_nT)
     a = a * robust.weights

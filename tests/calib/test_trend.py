@@ -167,6 +167,10 @@ def test_telemetry_is_cut_by_days(tmp_path: Path, cli: Cli) -> None:
     fluxtwin.write(record.replace(mag_B_nT=-record.mag_B_nT), tmp_path / "wrong.nc")
     done = cli("trend", tmp_path / "wrong.nc")
     assert done.status == 1 and done.err.count("telemetry from 2026-03-01T00:00:00Z: Bad: not a calibration.") == 1
+    assert "longer stretches (--every)" in done.err
+    for hours in ("0.2", "0.3"):  # one to four rows each
+        done = cli("trend", tmp_path / "t.nc", "--every", hours, "--parameters", "b")
+        assert done.status == 1 and "telemetry from 2026-03-01T0" in done.err and "(--every)" in done.err
 
 
 def test_calibrations_that_cannot_be_compared_are_refused() -> None:

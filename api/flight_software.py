@@ -68,13 +68,22 @@ def as_onboard(onboard: Calibration | Path | str, magnetometer: int = 1) -> Onbo
 def calibrate_undone(
     records: Sequence[Telemetry], onboard: Calibration | Path | str, model: FieldModel, **options: Any
 ) -> Fit:
-    """`fluxtwin.calibrate` of the sensor's own readings: what was applied on board is undone, and named in the answer."""
-    from fluxtwin.calib.checks.calibrated import check_calibrated
+    """`fluxtwin.calibrate` of the sensor's own readings: what was applied on board is undone, and named in the answer.
+
+    Raises BadInput where |B| says that it was not applied to these readings.
+    """
+    from fluxtwin.calib.checks.calibrated import NOT_APPLIED, check_calibrated
     from fluxtwin.calib.common.digits import plain
     from fluxtwin.calib.common.onboard import composed, undone
     from fluxtwin.calib.methods import calibrate_by
+    from fluxtwin.sim.base.errors import BadInput
 
     before = as_onboard(onboard, records[0].magnetometer)
+    seen = [found.text for one in records for found in check_calibrated(one, model, one.has_reading, before)]
+    for text in seen:
+        if NOT_APPLIED in text:
+            wanted = "the calibration on board, or calibrate without --onboard"
+            raise BadInput(text.rpartition("; ")[0], where=f"--onboard {before.name}", wanted=wanted)
     fit = calibrate_by([undone(record, before) for record in records], model, **options)
     left = composed(fit.calibration, before)
     b = ", ".join(plain(float(x)) for x in left.b_nT)
@@ -83,6 +92,5 @@ def calibrate_undone(
         f"fluxtwin export writes them. The readings as they came down still had b = ({b}) nT and elements of S up to "
         f"{plain(float(abs(left.S).max()), 2)}"
     )
-    seen = [found.text for one in records for found in check_calibrated(one, model, one.has_reading, before)]
     known = replace(fit.calibration, onboard=before)
     return replace(fit, calibration=known, messages=(said, *dict.fromkeys(seen), *fit.messages))

@@ -15,6 +15,7 @@ from fluxtwin.sim.telemetry.record import Telemetry
 CALIBRATED_NT, RAW_NT = 300.0, 1000.0
 """Misfit of |B| up to which readings look calibrated (a field model is off by 150 nT, 1 sigma, and noise comes on top), and
 from which they do not (magnetometers fly with biases of thousands). Between them nothing is said."""
+NOT_APPLIED = "the readings are raw, it was not applied"
 CLEAR = 1.5
 """One way of taking an on-board calibration must fit so many times better than the others."""
 
@@ -44,7 +45,7 @@ def _against(onboard: Onboard, mag_nT: FloatArray, size_nT: FloatArray, as_is: f
     undone, applied = (_misfit_nT(change(mag_nT), size_nT) for change in (held.undo, held.apply))
     said = "these data do not tell whether it was applied"
     if CLEAR * applied < min(as_is, undone):
-        said = "the readings are raw, it was not applied; calibrate without --onboard"
+        said = f"{NOT_APPLIED}; calibrate without --onboard"
     elif CLEAR * as_is < min(applied, undone):
         said = "the readings are corrected by it already; calibrate --onboard undoes that"
     elif CLEAR * undone < min(applied, as_is):

@@ -71,9 +71,18 @@ def _seen(fit: Fit, record: Telemetry) -> list[PageSection]:
     before = reading - predicted
     aside = ~kept_rows(fit.weights)
     words = "Measured: the readings as received. Predicted: the model field, rotated by the attitude if there is one."
+    of = "in body axes" if fit.residuals_nT.shape[1] == 3 else "in size"
+    caption = (
+        f"Residuals of {len(fit.time)} rows: calibrated reading minus model, {of}. The first panel has those of the "
+        "readings as received."
+    )
+    if not kept_rows(fit.weights).all():
+        caption += " Crosses: rows set aside as outliers. Arrows at the edge: values beyond it."
     return [
         PageSection("Measured and predicted", [], [], [field_block(rows, rows.mag_B_nT, predicted, words, aside)]),
-        PageSection("Residuals", [], [_residuals(fit)], [_residual_block(fit, before)]),
+        PageSection(
+            "Residuals", [], [_residuals(fit)], [FigureBlock("residuals", caption, residual_series(fit, before))]
+        ),
     ]
 
 
@@ -153,17 +162,6 @@ def residual_series(fit: Fit, before_nT: FloatArray | None = None) -> TimeSeries
     names = "xyz" if fit.residuals_nT.shape[1] == 3 else ("|B|",)
     title = "Residuals of the calibration" + (f"; {int(aside.sum())} rows set aside" if aside.any() else "")
     return TimeSeries(title, fit.time, residual_panels(_reading_minus_model(fit), names, aside, before_nT=before_nT))
-
-
-def _residual_block(fit: Fit, before_nT: FloatArray) -> FigureBlock:
-    of = "in body axes" if fit.residuals_nT.shape[1] == 3 else "in size"
-    caption = (
-        f"Residuals of {len(fit.time)} rows: calibrated reading minus model, {of}. The first panel has those of the "
-        "readings as received."
-    )
-    if not kept_rows(fit.weights).all():
-        caption += " Crosses: rows set aside as outliers. Arrows at the edge: values beyond it."
-    return FigureBlock("residuals", caption, residual_series(fit, before_nT))
 
 
 def _coverage(fit: Fit) -> list[PageSection]:

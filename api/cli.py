@@ -101,7 +101,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if hasattr(error, "exit_code") and hasattr(error, "show"):  # a usage error, click's own or typer's copy
             error.show()
             return int(error.exit_code)
-        return _our_fault(error)
+        if os.environ.get("FLUXTWIN_DEBUG"):
+            traceback.print_exc()
+            return OUR_FAULT
+        last = traceback.extract_tb(error.__traceback__)[-1]
+        place = f"{os.path.basename(last.filename)}:{last.lineno}"
+        return _fail(
+            f"internal error, not your fault: {type(error).__name__}: {error} ({place})."
+            " FLUXTWIN_DEBUG=1 shows where; please report it",
+            OUR_FAULT,
+        )
     finally:
         manners.quiet = manners.verbose = False  # -q and -v are for one call
 
@@ -134,16 +143,3 @@ def _in_words(error: FluxtwinError) -> str:
 def _fail(message: str, status: int) -> int:
     print(f"fluxtwin: {clean(message)}", file=sys.stderr)
     return status
-
-
-def _our_fault(error: Exception) -> int:
-    if os.environ.get("FLUXTWIN_DEBUG"):
-        traceback.print_exc()
-        return OUR_FAULT
-    last = traceback.extract_tb(error.__traceback__)[-1]
-    place = f"{os.path.basename(last.filename)}:{last.lineno}"
-    return _fail(
-        f"internal error, not your fault: {type(error).__name__}: {error} ({place})."
-        " FLUXTWIN_DEBUG=1 shows where; please report it",
-        OUR_FAULT,
-    )

@@ -157,7 +157,9 @@ class Output:
         if whole:
             console.print(table)
         else:
-            print(_unpadded(console, table))
+            wide = console.options.update(width=100_000)
+            lines = console.render_lines(table, wide, pad=False)
+            print("\n".join("".join(segment.text for segment in line).rstrip() for line in lines))
         if note:
             console.print(Text(clean(note) if whole else wrapped(clean(note), 120)), soft_wrap=not whole)
         console.print()
@@ -259,10 +261,3 @@ def _console(*, stderr: bool = False) -> Console:
     from rich.console import Console
 
     return Console(stderr=stderr, markup=False, highlight=False, emoji=False)
-
-
-def _unpadded(console: Console, table: Any) -> str:
-    """The table at its natural width, without trailing blanks, for files and pipes."""
-    wide = console.options.update(width=100_000)
-    lines = console.render_lines(table, wide, pad=False)
-    return "\n".join("".join(segment.text for segment in line).rstrip() for line in lines)

@@ -105,6 +105,12 @@ def of_record(record: Telemetry, source: str = "") -> Inventory:
     drivers = {f"driver_{name}": unit for name, unit in record.driver_units.items()}
     known = [_column(name, value, time, drivers.get(name)) for name, value in columns.items()]
     step = _step(time)
+    gaps = _steps_s(time)
+    breaks = np.flatnonzero(gaps > max(_PASS_STEPS * (step or np.inf), _PASS_S)) + 1
+    out: list[Pass] = []
+    for piece in np.split(np.arange(time.size), breaks):
+        before = float(gaps[piece[0] - 1]) if out else None
+        out.append(Pass(epoch.iso(time[piece[0]], "ms"), epoch.iso(time[piece[-1]], "ms"), int(piece.size), before))
     return Inventory(
         source=source or record.provenance.get("source", "telemetry"),
         rows=len(record),
@@ -114,7 +120,7 @@ def of_record(record: Telemetry, source: str = "") -> Inventory:
         step_s=step,
         columns=known,
         gaps=int((_steps_s(time) > _GAP_STEPS * (step or np.inf)).sum()),
-        passes=_passes(time, step),
+        passes=out,
         lacks=lacks(record),
         provenance=dict(record.provenance),
     )
@@ -158,16 +164,6 @@ def _step(time: TimeArray) -> float | None:
 
 def _steps_s(time: TimeArray) -> FloatArray:
     return np.diff(time).astype("int64") * 1e-9
-
-
-def _passes(time: TimeArray, step: float | None) -> list[Pass]:
-    gaps = _steps_s(time)
-    breaks = np.flatnonzero(gaps > max(_PASS_STEPS * (step or np.inf), _PASS_S)) + 1
-    out: list[Pass] = []
-    for piece in np.split(np.arange(time.size), breaks):
-        before = float(gaps[piece[0] - 1]) if out else None
-        out.append(Pass(epoch.iso(time[piece[0]], "ms"), epoch.iso(time[piece[-1]], "ms"), int(piece.size), before))
-    return out
 
 
 def _of_header(path: Path, why: str) -> Inventory:

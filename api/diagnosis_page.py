@@ -45,11 +45,17 @@ def diagnosis_page(
     far = _far(diagnosis, record)
     seen = [one for one in far.figures if one.name in ("field", "gap_series")]
     as_it_stands = [PageSection("The residual of the file as it stands", [], [], seen)]
+    # What the answer says beyond its first sentence, and no later section says again.
+    rest = [one for one in _sentences(diagnosis)[1:] if not one.startswith("It resembles ")]
+    rest = [*what_lines(diagnosis), *rest, *second_lines(diagnosis)]
     return Page(
         title=title,
         verdict=_sentences(diagnosis)[0],
         next_step=_next_step(diagnosis, source),
-        sections=[*_rest(diagnosis), *(as_it_stands if _wrong_file(diagnosis) else _found(diagnosis, record, far))],
+        sections=[
+            *([PageSection("What it means", rest)] if rest else []),
+            *(as_it_stands if _wrong_file(diagnosis) else _found(diagnosis, record, far)),
+        ],
         provenance=_provenance(diagnosis),
         downloads={"diagnosis.json": to_json(diagnosis.to_dict())},
     )
@@ -61,11 +67,23 @@ def _found(diagnosis: Diagnosis, record: Telemetry | None, far: PageSection) -> 
     open_ = [untestable_table(diagnosis)] if diagnosis.untestable else []
     confused = confused_table(diagnosis)
     could = [detectable_table(diagnosis), confused] if confused.rows else [detectable_table(diagnosis)]
+    words = []
+    if diagnosis.verdict == "unknown":
+        words.append("The residual has structure that no effect in the catalogue explains, so none is named.")
+    if diagnosis.resembles:
+        words.append(f"It resembles {', '.join(diagnosis.resembles)}.")
+    groups = [effect.group for effect in diagnosis.effects if len(effect.group) > 1]
+    words += [f"{' and '.join(group)} cannot be distinguished in these data." for group in groups]
+    shown = [effects_table(diagnosis)] if diagnosis.effects else []
+    if any(effect.rivals for effect in diagnosis.effects):
+        shown.append(rivals_table(diagnosis))
+    if diagnosis.ranking:
+        shown.append(ranking_table(diagnosis))
     return [
         far,
         *_parameters(diagnosis),
         _where(diagnosis),
-        _which(diagnosis),
+        PageSection("Which effect causes it", words or ([] if diagnosis.effects else ["None is named."]), shown),
         *_law(diagnosis),
         *([PageSection("Where the closed scenario holds", [], elsewhere)] if elsewhere else []),
         PageSection("What could not be tested", [] if open_ else [_ALL_TESTED], open_),
@@ -104,13 +122,6 @@ def _reestimated(diagnosis: Diagnosis, *, with_calibration: bool = False) -> lis
 def _sentences(diagnosis: Diagnosis) -> list[str]:
     """The answer, a sentence each."""
     return re.split(r"(?<=\.) (?=[A-Z])", diagnosis.sentence)
-
-
-def _rest(diagnosis: Diagnosis) -> list[PageSection]:
-    """What the answer says beyond its first sentence, and no later section says again."""
-    rest = [one for one in _sentences(diagnosis)[1:] if not one.startswith("It resembles ")]
-    rest = [*what_lines(diagnosis), *rest, *second_lines(diagnosis)]
-    return [PageSection("What it means", rest)] if rest else []
 
 
 def _coverage(diagnosis: Diagnosis, record: Telemetry | None) -> list[FigureBlock]:
@@ -224,22 +235,6 @@ def places_table(diagnosis: Diagnosis) -> Table:
         words = [f"{name} {percent(share)}" for share, name in likely]
         rows.append([kind, words[0] if words else "", ", ".join(words[1:]) or "nothing else"])
     return Table("Places by probability", ["", "likeliest", "else"], rows)
-
-
-def _which(diagnosis: Diagnosis) -> PageSection:
-    words = []
-    if diagnosis.verdict == "unknown":
-        words.append("The residual has structure that no effect in the catalogue explains, so none is named.")
-    if diagnosis.resembles:
-        words.append(f"It resembles {', '.join(diagnosis.resembles)}.")
-    groups = [effect.group for effect in diagnosis.effects if len(effect.group) > 1]
-    words += [f"{' and '.join(group)} cannot be distinguished in these data." for group in groups]
-    shown = [effects_table(diagnosis)] if diagnosis.effects else []
-    if any(effect.rivals for effect in diagnosis.effects):
-        shown.append(rivals_table(diagnosis))
-    if diagnosis.ranking:
-        shown.append(ranking_table(diagnosis))
-    return PageSection("Which effect causes it", words or ([] if diagnosis.effects else ["None is named."]), shown)
 
 
 def _law(diagnosis: Diagnosis) -> list[PageSection]:

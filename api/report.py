@@ -78,23 +78,20 @@ def _drawn(figure: Figure | TimeSeries) -> Figure:
 def _shown(block: FigureBlock) -> dict[str, Any]:
     """A figure as the template takes it: the picture, the width [px] below which it is scrolled instead of shrunk, and the
     data of its series."""
+    from PIL import Image
+
     from fluxtwin.plots.time_series import TimeSeries
 
     series = block.figure.to_dict() if isinstance(block.figure, TimeSeries) else None
     figure = block.figure if isinstance(block.figure, bytes) else _drawn(block.figure)
-    uri = "data:image/png;base64," + base64.b64encode(_small(png_bytes(figure))).decode("ascii")
+    png = png_bytes(figure)
+    # The same picture in 64 colours, a quarter of the size.
+    buffer = io.BytesIO()
+    Image.open(io.BytesIO(png)).convert("RGB").quantize(64, dither=Image.Dither.NONE).save(buffer, "png", optimize=True)
+    uri = "data:image/png;base64," + base64.b64encode(min(png, buffer.getvalue(), key=len)).decode("ascii")
     width = 0 if isinstance(figure, bytes) else round(_READABLE_PX * 72.0 * figure.get_figwidth() / _smallest(figure))
     data = "" if series is None else json.dumps(series, separators=(",", ":")).replace("<", "\\u003c")
     return {"uri": uri, "width": width, "data": data}
-
-
-def _small(png: bytes) -> bytes:
-    """The same picture in 64 colours, a quarter of the size."""
-    from PIL import Image
-
-    buffer = io.BytesIO()
-    Image.open(io.BytesIO(png)).convert("RGB").quantize(64, dither=Image.Dither.NONE).save(buffer, "png", optimize=True)
-    return min(png, buffer.getvalue(), key=len)
 
 
 def _smallest(figure: Figure) -> float:

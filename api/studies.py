@@ -33,24 +33,6 @@ def run_study(
     written, before the work starts.
     """
     run = find_study(name)
-    _require_data(name, data)
-    options = _options(name, attitude)
-    target = Path(f"{name}-results") if out is None else Path(out)
-    found = target.exists()
-    try:
-        folder = writable_folder(target)
-        result = run(folder, None if data is None else Path(data), part_of(progress, 0.0, 0.97), **options)
-        progress("writing the report", 0.97)
-        again = ["fluxtwin", "run", name, *(["--data", str(data)] if data is not None else [])]
-        again += [] if attitude is None else ["--attitude", attitude]
-        return result, [*result.written, *_write(result, folder, shlex.join(again))]
-    except BaseException:  # an interrupt too
-        if not found and target.is_dir() and not any(target.iterdir()):
-            target.rmdir()
-        raise
-
-
-def _require_data(name: str, data: Path | str | None) -> None:
     study = STUDIES.get(name)
     if data is None and study is not None and study.needs_data:
         raise BadInput(
@@ -60,6 +42,29 @@ def _require_data(name: str, data: Path | str | None) -> None:
         )
     if data is not None and not Path(data).is_dir():
         raise BadInput("no such folder", where=f"--data {data}", wanted="the folder that holds the recorded data")
+    options = _options(name, attitude)
+    target = Path(f"{name}-results") if out is None else Path(out)
+    found = target.exists()
+    try:
+        folder = writable_folder(target)
+        result = run(folder, None if data is None else Path(data), part_of(progress, 0.0, 0.97), **options)
+        progress("writing the report", 0.97)
+        again = ["fluxtwin", "run", name, *(["--data", str(data)] if data is not None else [])]
+        again += [] if attitude is None else ["--attitude", attitude]
+        pages = {} if result.page is None else {"report": result.page}
+        written = [
+            write_json(folder / "summary.json", sealed_json({JSON_MARK: fluxtwin.__version__, **result.summary}))
+        ]
+        for stem, page in {**pages, **result.more_pages}.items():
+            prefix = "" if stem == "report" else f"{stem}_"
+            blocks = [block for section in page.sections for block in section.figures]
+            written += [write_bytes(folder / f"{prefix}{block.name}.png", png_bytes(block.figure)) for block in blocks]
+            written.append(write_page(page, folder / f"{stem}.html", shlex.join(again)))
+        return result, [*result.written, *written]
+    except BaseException:  # an interrupt too
+        if not found and target.is_dir() and not any(target.iterdir()):
+            target.rmdir()
+        raise
 
 
 def _options(name: str, attitude: str | None) -> dict[str, str]:
@@ -70,14 +75,3 @@ def _options(name: str, attitude: str | None) -> dict[str, str]:
         wanted = " or ".join(offered) or f"no --attitude: the study {name} has one motion"
         raise BadInput(f"{attitude!r}", where="--attitude", wanted=wanted)
     return {"attitude": attitude}
-
-
-def _write(result: StudyResult, folder: Path, command: str) -> list[Path]:
-    pages = {} if result.page is None else {"report": result.page}
-    written = [write_json(folder / "summary.json", sealed_json({JSON_MARK: fluxtwin.__version__, **result.summary}))]
-    for stem, page in {**pages, **result.more_pages}.items():
-        prefix = "" if stem == "report" else f"{stem}_"
-        blocks = [block for section in page.sections for block in section.figures]
-        written += [write_bytes(folder / f"{prefix}{block.name}.png", png_bytes(block.figure)) for block in blocks]
-        written.append(write_page(page, folder / f"{stem}.html", command))
-    return written

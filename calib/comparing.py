@@ -70,7 +70,11 @@ def compare(
     if not errors:
         reasons = "; ".join(f"{one.method}: {one.why_not}" for one in found.values())
         raise NoAnswer(f"no method gives an answer. {reasons}", evidence={})
-    kept = _kept(errors)
+    # (N,) rows that every method predicts, without those that are outliers for all of them.
+    finite = np.all([np.isfinite(one).all(axis=1) for one in errors.values()], axis=0)
+    kept: BoolArray = np.array(finite)
+    far = [find_outliers(one[finite]) for one in errors.values()]
+    kept[finite] = ~np.all(far, axis=0)
     for name, error_nT in errors.items():
         found[name] = _result(name, telemetry, model, error_nT, kept)
     order = sorted(errors, key=lambda name: _mean_square(errors[name][kept]))
@@ -112,24 +116,11 @@ def _error_nT(telemetry: Telemetry, known: Calibration, model: FieldModel) -> Fl
     found = known.apply(telemetry.mag_B_nT, telemetry.dipole_B_Am2, known.columns_of(telemetry))
     if telemetry.has_attitude.any():
         return np.asarray(found - reference_field_B_nT(telemetry, model))
-    return np.asarray((np.linalg.norm(found, axis=1) - _size_nT(telemetry, model))[:, None])
-
-
-def _size_nT(telemetry: Telemetry, model: FieldModel) -> FloatArray:
     size = np.full(len(telemetry), np.nan)
     placed = np.flatnonzero(telemetry.has_position)
     assert telemetry.r_N_km is not None
     size[placed] = np.linalg.norm(field_N_nT(model, telemetry.time[placed], telemetry.r_N_km[placed]), axis=1)
-    return size
-
-
-def _kept(errors: Mapping[str, FloatArray]) -> BoolArray:
-    """(N,) rows that every method predicts, without those that are outliers for all of them."""
-    finite = np.all([np.isfinite(one).all(axis=1) for one in errors.values()], axis=0)
-    kept: BoolArray = np.array(finite)
-    far = [find_outliers(one[finite]) for one in errors.values()]
-    kept[finite] = ~np.all(far, axis=0)
-    return kept
+    return np.asarray((np.linalg.norm(found, axis=1) - size)[:, None])
 
 
 def _result(name: str, telemetry: Telemetry, model: FieldModel, error_nT: FloatArray, kept: BoolArray) -> MethodResult:

@@ -305,25 +305,17 @@ def _histories(
         q = float((w * (p - mean) ** 2).sum())
         best, least = ("constant", 0.0, 0.0, 0), 0.0
         for kind, x, after, places in tried:
-            size, error = _slope(p, w, x)
+            # Weighted slope of p over x beside a constant, and its sigma.
+            x = x - (w * x).sum() / w.sum()
+            information = float((w * x**2).sum())
+            size, error = float((w * x * p).sum()) / information, information**-0.5
             # its logarithm, as beyond 38 sigma the probability itself is 0 for all of them
             log_chance = float(np.log(2.0 * places * kinds) + norm.logsf(abs(size / error)))
             if log_chance < least:
                 best, least = (kind, size, error, after), log_chance
         probability, explained = float(chi2.sf(q, count - 1)), float(np.exp(least))
         found.append(History(name, p, sigma, mean, float(w.sum() ** -0.5), q, probability, *best, explained))
-    return _holm(found)
-
-
-def _slope(p: FloatArray, w: FloatArray, x: FloatArray) -> tuple[float, float]:
-    """Weighted slope of p over x beside a constant, and its sigma."""
-    x = x - (w * x).sum() / w.sum()
-    information = float((w * x**2).sum())
-    return float((w * x * p).sum()) / information, information**-0.5
-
-
-def _holm(found: list[History]) -> tuple[History, ...]:
-    """Those that are not significant beside the others are constant."""
+    # Those that are not significant beside the others are constant.
     kept: set[str] = set()
     for place, one in enumerate(sorted(found, key=lambda one: one.explained)):
         if one.explained * (len(found) - place) >= FALSE_ALARM:

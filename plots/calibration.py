@@ -101,9 +101,9 @@ def draw_node_misfit(
     axes.plot(raan_deg, 100 * misfit, color=style.BLUE)
     axes.axvline(chosen_deg, color=style.VERMILION, label=f"chosen: {chosen_deg:.0f} deg")
     axes.axvline(witness_deg, color="black", linestyle="--", label=f"from the launch: {witness_deg:.1f} deg")
-    style.label(axes, y="misfit [% of the orbit]", title=title)
+    words = "right ascension of the node, 0 h UTC of day 205 of 1978 [deg]"
+    style.label(axes, x=words, y="misfit [% of the orbit]", title=title)
     axes.set(xlim=(0, 360))
-    style.label(axes, x="right ascension of the node, 0 h UTC of day 205 of 1978 [deg]")
     axes.legend()
     return figure
 

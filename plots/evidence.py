@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -34,9 +34,11 @@ def draw_drivers(
         return None
     axes_count = first.shape[1]
     figure, grid = style.figure(7.2, 0.8 + 1.7 * len(names), rows=len(names), cols=axes_count)
+    # Colours of the dots, and of the means.
+    looks = [(style.ORANGE, style.VERMILION), (style.SKY, style.BLUE)][-len(residuals) :]
     for panels, name in zip(grid, names, strict=True):
         for number, axes in enumerate(panels):
-            for (words, residual), (pale, strong) in zip(residuals.items(), _looks(len(residuals)), strict=True):
+            for (words, residual), (pale, strong) in zip(residuals.items(), looks, strict=True):
                 known = np.isfinite(columns[name]) & np.isfinite(residual[:, number])
                 x, y = columns[name][known], residual[known, number]
                 few = extremes(np.column_stack([x, y]), _DOTS)
@@ -52,11 +54,6 @@ def draw_drivers(
     style.legend_below(figure, grid[0][0])
     style.heading(figure, title)
     return figure
-
-
-def _looks(count: int) -> Sequence[tuple[str, str]]:
-    """Colour of dots and of means."""
-    return [(style.ORANGE, style.VERMILION), (style.SKY, style.BLUE)][-count:]
 
 
 def _share(column: FloatArray, residual: FloatArray) -> float:

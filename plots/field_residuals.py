@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
@@ -61,7 +60,10 @@ def residual_map(track: ResidualTrack, title: str, low_latitude_deg: float) -> F
         bar.set_label("[nT]", fontsize=style.LABEL_PT)
         for edge in (-low_latitude_deg, low_latitude_deg):
             axes.axhline(edge, color=style.GREY, linewidth=0.8, linestyle="--", zorder=0.9)
-        _world(axes)
+        axes.set_xlim(-180, 180)
+        axes.set_ylim(-90, 90)
+        axes.set_xticks([-180, -90, 0, 90, 180])
+        axes.set_yticks([-90, -45, 0, 45, 90])
         style.coast(axes)
         x, y = "longitude [deg]" if number >= 2 else None, None if number % 2 else "latitude [deg]"
         style.label(axes, x=x, y=y, title=f"{name} residual")
@@ -106,13 +108,6 @@ def _look(place: int, count: int) -> dict[str, Any]:
     if place == count - 1:
         return {"color": style.BLUE, "linewidth": 1.6, "alpha": 0.85}
     return {"color": style.ORANGE, "linewidth": 1.6, "linestyle": (0, (4, 2))}
-
-
-def _world(axes: Axes) -> None:
-    axes.set_xlim(-180, 180)
-    axes.set_ylim(-90, 90)
-    axes.set_xticks([-180, -90, 0, 90, 180])
-    axes.set_yticks([-90, -45, 0, 45, 90])
 
 
 def _round_up(value: float) -> float:

@@ -82,9 +82,8 @@ def draw_evidence(
     turns = np.append(turns_deg, 360.0)
     right.plot(turns, np.append(turned_correlation, turned_correlation[0]), color=style.BLUE, marker="o", markersize=3)
     right.axhline(0.0, color="grey", linewidth=0.8)
-    style.label(right, x="map of errors turned east by [deg]", y="rank correlation")
+    style.label(right, x="map of errors turned east by [deg]", y="rank correlation", title="the map turned")
     right.set(xlim=(0, 360))
-    style.label(right, title="the map turned")
     style.heading(figure, title)
     return figure
 

@@ -34,7 +34,9 @@ def power_on(axes: Axes, question: Question) -> Axes:
     axes.axhline(100.0 * ENOUGH, color=style.BLACK, lw=0.8, ls=":")
     axes.set_ylim(-2.0, 103.0)
     axes.set_xlim(left=0.0)
-    style.label(axes, x="hours flown [h]", y="probability of the right answer [%]", title=_title(question))
+    names: Sequence[str] = question.names
+    title = f"{' or '.join(names)}?" if len(names) > 1 else f"{names[0]}: there or not?"
+    style.label(axes, x="hours flown [h]", y="probability of the right answer [%]", title=title)
     return axes
 
 
@@ -65,8 +67,3 @@ def sigma_on(axes: Axes, plan: CalibrationPlan) -> Axes:
 def _line(axes: Axes, course: Course, label: str, colour: str, dashes: str, width: float) -> None:
     hours, power = np.array([(0.0, 0.0), *course.curve]).T
     axes.plot(hours, 100.0 * power, dashes, color=colour, marker="o", ms=2.0 * width + 1.0, lw=width, label=label)
-
-
-def _title(question: Question) -> str:
-    names: Sequence[str] = question.names
-    return f"{' or '.join(names)}?" if len(names) > 1 else f"{names[0]}: there or not?"

@@ -135,9 +135,9 @@ def draw_sweep(
         if crossover is not None:
             axes.axvline(crossover, color=colour, linestyle=":")
             axes.text(crossover, 3.0, f" {crossover:.2f} deg", color=colour)
-    style.label(axes, x="amplitude of the true yaw, sqrt 2 times its rms [deg]", title=title)
+    x, y = "amplitude of the true yaw, sqrt 2 times its rms [deg]", "windows in which yaw = 0 is better [%]"
+    style.label(axes, x=x, y=y, title=title)
     axes.set(ylim=(0, 100))
-    style.label(axes, y="windows in which yaw = 0 is better [%]")
     axes.legend()
     return figure
 

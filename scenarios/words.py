@@ -6,14 +6,22 @@
 its caption below; `### Errata` is a list. A claim sets `value`, `unit` and `holds`, says what is found here, and, where it
 needs to, `otherwise:` and `remark:`. What stands before the first section of a file (as `{% set e = r.errors %}`) holds
 for each.
+
+What a paper claims beside what a study finds, in five statuses.
+
+`reproduced`: an outcome that could have come out otherwise, and came out as printed. `put in`: an input of the scenario
+read back. `definition`: a formula or a frame, true of any data. `differs`: with its computed reason.
+`not testable`: with what would test it. The kind of a claim, where it is no outcome, is in the study's `claims.toml`;
+whether it holds is said with its words.
 """
 
 from __future__ import annotations
 
 import re
 import tomllib
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import is_dataclass
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, is_dataclass
 from functools import cached_property, partial
 from importlib import import_module, resources
 from typing import TYPE_CHECKING, Any
@@ -21,21 +29,89 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jinja2 import Environment, StrictUndefined, Template, Undefined, UndefinedError
 
-from fluxtwin.scenarios.claims import Claim, claim_of, claims_tables, counted
-from fluxtwin.scenarios.page import FigureBlock, Page, PageSection, StudyResult, Table
+from fluxtwin.scenarios.page import Cell, FigureBlock, Page, PageSection, StudyResult, Table
 from fluxtwin.sim.earth.constants import NT_PER_MG
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+STATUSES = REPRODUCED, PUT_IN, DEFINITION, DIFFERS, NOT_TESTABLE = (
+    "reproduced",
+    "put in",
+    "definition",
+    "differs",
+    "not testable",
+)
 _SECTION = re.compile(r"^## (\w+)\n", re.MULTILINE)
 _LINE_END = re.compile(r"[ \t]*\n[ \t]*")
 _BLOCK = re.compile(r"\n[ \t]*\n+")
 _BUILTINS = (abs, any, all, enumerate, float, int, len, list, max, min, round, sorted, sum, vars, zip)
-
-
 _CLAIMS = "Claim by claim"
 _NEXT = f"read {_CLAIMS}: it gives the reason for every difference from the papers."
+
+
+@dataclass(frozen=True)
+class Claim:
+    """One claim with its status."""
+
+    id: int
+    where: str
+    paper: str
+    here: str
+    value: float
+    unit: str
+    status: str
+    why: str = ""
+
+    def to_dict(self) -> dict[str, object]:
+        """As it is in `summary.json`."""
+        plain = {name: value for name, value in vars(self).items() if name != "why"}
+        return plain | ({"why": self.why} if self.why else {})
+
+
+def claim_of(entry: Mapping[str, Any], found: Mapping[str, Any]) -> Claim:
+    """A claim of a paper (id, where, paper, and kind where it is no outcome) with its status.
+
+    found: `here` (text with the number and its unit), `value`, `unit`, `holds` (None: it cannot be tested), `otherwise` (why
+    not; what would test it), `remark` (to be said in any case). Raises ValueError without a number or without a reason.
+    """
+    kind = entry.get("kind", REPRODUCED)
+    if kind not in (REPRODUCED, PUT_IN, DEFINITION):
+        raise ValueError(f"claim {entry['id']}: there is no kind {kind!r}")
+    if not np.isfinite(found["value"]):
+        raise ValueError(f"claim {entry['id']}: no finite number was computed")
+    status = NOT_TESTABLE if found["holds"] is None else kind if found["holds"] else DIFFERS
+    if not found["holds"] and not found["otherwise"]:
+        raise ValueError(f"claim {entry['id']}: {status} without a reason")
+    return Claim(
+        **{key: entry[key] for key in ("id", "where", "paper")},
+        **{key: found[key] for key in ("here", "unit")},
+        value=float(found["value"]),
+        status=status,
+        why="; ".join(filter(None, (found["remark"], "" if found["holds"] else found["otherwise"]))),
+    )
+
+
+def counted(claims: Sequence[Claim]) -> str:
+    """As "9 of 24 claims reproduced, 2 put in, 0 definitions, 11 differ, 2 not testable"."""
+    counts = Counter(claim.status for claim in claims)
+    definitions = f"{counts[DEFINITION]} definition{'' if counts[DEFINITION] == 1 else 's'}"
+    return (
+        f"{counts[REPRODUCED]} of {len(claims)} claims reproduced, {counts[PUT_IN]} put in, {definitions}, "
+        f"{counts[DIFFERS]} differ{'s' if counts[DIFFERS] == 1 else ''}, {counts[NOT_TESTABLE]} not testable"
+    )
+
+
+def claims_tables(claims: Sequence[Claim]) -> dict[str, Table]:
+    """`claims`: one line each, with its reason; `statuses`: the same without; `whys`: the reasons alone."""
+    heading, columns = "The papers' claims", ["claim", "where", "printed", "here", "status"]
+    bare: list[list[Cell]] = [[c.id, c.where, c.paper, c.here, c.status] for c in claims]
+    full = [[*row[:4], f"{c.status}: {c.why}" if c.why else c.status] for row, c in zip(bare, claims, strict=True)]
+    return {
+        "claims": Table(heading, columns, full),
+        "statuses": Table(heading, columns, bare),
+        "whys": Table("Why not", ["claim", "status", "why"], [[c.id, c.status, c.why] for c in claims if c.why]),
+    }
 
 
 class Words:
@@ -44,11 +120,19 @@ class Words:
     All raise KeyError for a section that is not there, UndefinedError for a value that is not.
     """
 
-    def __init__(self, package: str, *files: str, filters: Mapping[str, Any] | None = None, **names: Any) -> None:
+    def __init__(
+        self,
+        package: str,
+        *files: str,
+        filters: Mapping[str, Any] | None = None,
+        known: Iterable[Any] = (),
+        **names: Any,
+    ) -> None:
         """package: as `fluxtwin.scenarios.seasat`; files: `words.md` where there is no other; filters: further ones of
-        jinja's; names: what every section may use, besides `say`, which gives another section."""
+        jinja's. What every section may use, besides `say`, which gives another section: names, and the functions and
+        modules in `known` under their own."""
         self._package, self._jinja = package, _environment()
-        self._jinja.globals |= {"say": self.say, **names}
+        self._jinja.globals |= {"say": self.say, **{one.__name__.rpartition(".")[2]: one for one in known}, **names}
         self._jinja.filters |= filters or {}
         self._sections: dict[str, Template] = {}
         for file in files or ("words.md",):

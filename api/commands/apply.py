@@ -5,8 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from fluxtwin.commands import options as of
 from fluxtwin.commands.reading import TelemetryArgument, known_calibration, read
 from fluxtwin.console import Output
@@ -18,12 +16,10 @@ def command(
     output: Output,
     telemetry: TelemetryArgument,
     out: of.OutOption,
-    calibration: Annotated[Path | None, typer.Option(metavar="FILE.toml", help="Calibration file.")] = None,
+    calibration: Annotated[Path | None, of.option("FILE.toml", "Calibration file.")] = None,
     scenario: Annotated[
         Path | None,
-        typer.Option(
-            metavar="CLOSED.toml", help="Instead of --calibration: a closed scenario, whose effects are taken out too."
-        ),
+        of.option("CLOSED.toml", "Instead of --calibration: a closed scenario, whose effects are taken out too."),
     ] = None,
     reading: of.Reading = of.READING,
 ) -> None:

@@ -23,20 +23,19 @@ def command(
     output: Output,
     telemetry: TelemetryArgument,
     calibration: of.CalibrationOption = None,
-    out: Annotated[Path | None, typer.Option(metavar="FILE.csv", help="Write attitude and sigma row by row.")] = None,
+    out: Annotated[Path | None, of.option("FILE.csv", "Write attitude and sigma row by row.")] = None,
     noise_nt: Annotated[
         float | None,
-        typer.Option(
+        of.option(
+            "NT",
+            "White noise of the reading, rounding included, 1 sigma per axis [nT]; otherwise estimated.",
             "--noise-nT",
-            metavar="NT",
-            help="White noise of the reading, rounding included, 1 sigma per axis [nT]; otherwise estimated.",
         ),
     ] = None,
     attitude_sigma_deg: of.AttitudeSigmaOption = None,
     attitude_tau_s: of.AttitudeTauOption = None,
     sun_sigma_deg: Annotated[
-        float | None,
-        typer.Option(metavar="DEG", help="White noise of the sun vector, 1 sigma [deg]; otherwise estimated."),
+        float | None, of.option("DEG", "White noise of the sun vector, 1 sigma [deg]; otherwise estimated.")
     ] = None,
     field: of.FieldOption = "igrf14",
     degree: of.DegreeOption = None,
@@ -67,15 +66,6 @@ def command(
         columns = found.to_dict()
         if out is not None:
             write_table(columns, COLUMNS, out)
-    _print(output, found, telemetry, calibration, out)
-    output.result({**columns, "written": [] if out is None else [str(out)]})
-    if not found.holds:
-        raise typer.Exit(1)
-
-
-def _print(
-    output: Output, found: AttitudeSolution, telemetry: Path, calibration: Path | None, out: Path | None
-) -> None:
     from fluxtwin.presenting import presented
 
     for line in presented(found).sentences:
@@ -87,6 +77,9 @@ def _print(
     for reason, count in found.left_out.items():
         output.say(f"- {count} rows left out: {reason}")
     output.files([] if out is None else [out])
+    output.result({**columns, "written": [] if out is None else [str(out)]})
+    if not found.holds:
+        raise typer.Exit(1)
 
 
 def _next_step(found: AttitudeSolution, telemetry: Path, calibration: Path | None, out: Path | None) -> str:

@@ -40,20 +40,14 @@ class _Made(NamedTuple):
 
 def command(
     output: Output,
-    telemetry: Annotated[
-        list[Path],
-        typer.Argument(metavar="TELEMETRY", help="One or more files, calibrated together."),
-    ],
-    out: Annotated[Path | None, typer.Option(metavar="FILE.toml", help="Write the calibration file.")] = None,
+    telemetry: Annotated[list[Path], of.argument("TELEMETRY", "One or more files, calibrated together.")],
+    out: Annotated[Path | None, of.option("FILE.toml", "Write the calibration file.")] = None,
     unseen: Annotated[
-        list[Path] | None,
-        typer.Option(metavar="FILE", help="Also predict this telemetry without fitting it; repeatable."),
+        list[Path] | None, of.option("FILE", "Also predict this telemetry without fitting it; repeatable.")
     ] = None,
     onboard: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FILE", help="The calibration that was applied on board (see export); it is undone before the fit."
-        ),
+        of.option("FILE", "The calibration that was applied on board (see export); it is undone before the fit."),
     ] = None,
     both: Annotated[
         bool,
@@ -61,9 +55,7 @@ def command(
             "--both", help="Also calibrate the second magnetometer, and say what the residuals have in common."
         ),
     ] = False,
-    figures: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Write figures of the residuals to this folder.")
-    ] = None,
+    figures: Annotated[Path | None, of.option("DIR", "Write figures of the residuals to this folder.")] = None,
     html: of.HtmlOption = None,
     field: of.FieldOption = "igrf14",
     degree: of.DegreeOption = None,

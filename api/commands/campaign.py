@@ -5,8 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from fluxtwin.commands import options as of
 from fluxtwin.console import Output
 
@@ -16,10 +14,10 @@ BRIEF = "Simulate, calibrate and diagnose many drawn flights: would you see an e
 def command(
     output: Output,
     scenario: Annotated[
-        Path, typer.Argument(metavar="SCENARIO.toml", help="A scenario whose [draws] and [effects] say what is varied.")
+        Path, of.argument("SCENARIO.toml", "A scenario whose [draws] and [effects] say what is varied.")
     ],
-    out: Annotated[Path, typer.Option(metavar="FOLDER", help="Folder for the results.")],
-    runs: Annotated[int, typer.Option(metavar="N", help="How many runs.")],
+    out: Annotated[Path, of.option("FOLDER", "Folder for the results.")],
+    runs: Annotated[int, of.option("N", "How many runs.")],
     seed: of.SeedOption = None,
     workers: of.Workers = of.WORKERS,
     resume: of.ResumeOption = False,

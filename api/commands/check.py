@@ -22,11 +22,9 @@ BRIEF = "Are units, frames, axes and clock what the file claims? Names the class
 def command(
     output: Output,
     telemetry: TelemetryArgument,
-    repair: Annotated[
-        Path | None, typer.Option(metavar="OUT", help="Write the rows sorted by time, without exact duplicates.")
-    ] = None,
+    repair: Annotated[Path | None, of.option("OUT", "Write the rows sorted by time, without exact duplicates.")] = None,
     onboard: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="An on-board calibration: was it applied to these readings?")
+        Path | None, of.option("FILE", "An on-board calibration: was it applied to these readings?")
     ] = None,
     html: of.HtmlOption = None,
     field: of.FieldOption = "igrf14",

@@ -23,21 +23,18 @@ def command(
     output: Output,
     telemetry: Annotated[
         list[Path],
-        typer.Argument(
-            metavar="TELEMETRY...",
-            help="A .nc, .csv or .csv.gz file, or a foreign one with --map; several: one by one, or with --fleet together.",
+        of.argument(
+            "TELEMETRY...",
+            "A .nc, .csv or .csv.gz file, or a foreign one with --map; several: one by one, or with --fleet together.",
         ),
     ],
     scenario: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE.toml", help="The spacecraft: field model, first calibration, noise, known effects."),
+        Path | None, of.option("FILE.toml", "The spacecraft: field model, first calibration, noise, known effects.")
     ] = None,
     modelled: of.ModelledOption = of.MODELLED,
     assumed: of.Assumed = of.ASSUMED,
     html: of.HtmlOption = None,
-    close: Annotated[
-        Path | None, typer.Option(metavar="OUT.toml", help="Write a scenario that contains the named effects.")
-    ] = None,
+    close: Annotated[Path | None, of.option("OUT.toml", "Write a scenario that contains the named effects.")] = None,
     fleet: Annotated[
         bool,
         typer.Option(
@@ -53,7 +50,7 @@ def command(
         ),
     ] = False,
     calibration: Annotated[
-        Path | None, typer.Option(metavar="FILE.toml", help="With --follow: does this calibration still hold?")
+        Path | None, of.option("FILE.toml", "With --follow: does this calibration still hold?")
     ] = None,
     workers: of.Workers = of.WORKERS,
     reading: of.Reading = of.READING,

@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
+from fluxtwin.commands import options as of
 from fluxtwin.console import Output, wrapped
 
 if TYPE_CHECKING:
@@ -17,9 +16,7 @@ BRIEF = "List the catalogue of effects, with units and typical sizes."
 
 def command(
     output: Output,
-    effect: Annotated[
-        str | None, typer.Argument(metavar="[NAME]", help="One effect in detail, with a section for a scenario.")
-    ] = None,
+    effect: Annotated[str | None, of.argument("[NAME]", "One effect in detail, with a section for a scenario.")] = None,
 ) -> None:
     """List the effects that a simulation may lack, a line each. With NAME, that effect in full.
 

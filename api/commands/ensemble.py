@@ -6,8 +6,6 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
 from fluxtwin.commands import options as of
 from fluxtwin.console import Output
 
@@ -20,21 +18,16 @@ BRIEF = "Simulate thousands of vehicles with drawn parameters, on all cores."
 def command(
     output: Output,
     scenario: Annotated[
-        Path,
-        typer.Argument(metavar="SCENARIO.toml", help="A scenario whose [draws] say what differs between vehicles."),
+        Path, of.argument("SCENARIO.toml", "A scenario whose [draws] say what differs between vehicles.")
     ],
-    out: Annotated[
-        Path, typer.Option(metavar="FOLDER", help="Folder for the results; with --extract, the FILE to write.")
-    ],
-    vehicles: Annotated[int | None, typer.Option(metavar="N", help="How many vehicles.")] = None,
+    out: Annotated[Path, of.option("FOLDER", "Folder for the results; with --extract, the FILE to write.")],
+    vehicles: Annotated[int | None, of.option("N", "How many vehicles.")] = None,
     seed: of.SeedOption = None,
     workers: of.Workers = of.WORKERS,
-    chunk: Annotated[
-        int | None, typer.Option(metavar="V", help="Number of vehicles held in memory and written at a time.")
-    ] = None,
+    chunk: Annotated[int | None, of.option("V", "Number of vehicles held in memory and written at a time.")] = None,
     resume: of.ResumeOption = False,
     extract: Annotated[
-        int | None, typer.Option(metavar="K", help="Simulate nothing; write the scenario of vehicle K (from 0).")
+        int | None, of.option("K", "Simulate nothing; write the scenario of vehicle K (from 0).")
     ] = None,
 ) -> None:
     """Fly N vehicles of a scenario, each with its own drawn parameters, and sum up their pointing, rates and torquers.

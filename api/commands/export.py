@@ -5,8 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from fluxtwin.commands import options as of
 from fluxtwin.console import Output
 
@@ -15,15 +13,10 @@ BRIEF = "Write a calibration for flight software, and the error that its number 
 
 def command(
     output: Output,
-    calibration: Annotated[Path, typer.Argument(metavar="CALIBRATION", help="Calibration file.")],
-    to: Annotated[
-        str,
-        typer.Option(metavar="TARGET", help="ardupilot, px4, gomspace, c-header, json, matlab or cubeadcs:FORM,UNIT."),
-    ],
+    calibration: Annotated[Path, of.argument("CALIBRATION", "Calibration file.")],
+    to: Annotated[str, of.option("TARGET", "ardupilot, px4, gomspace, c-header, json, matlab or cubeadcs:FORM,UNIT.")],
     out: of.OutOption,
-    instance: Annotated[
-        int, typer.Option(metavar="N", min=1, help="Number of the magnetometer in that software, from 1.")
-    ] = 1,
+    instance: Annotated[int, of.option("N", "Number of the magnetometer in that software, from 1.", min=1)] = 1,
 ) -> None:
     """Print the formula of the target with units, its numbers and the error that they add; write its file.
 

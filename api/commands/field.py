@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import Annotated
 
-import typer
-
 from fluxtwin.commands import options as of
 from fluxtwin.console import Output
 
@@ -14,10 +12,10 @@ BRIEF = "Print the geomagnetic field at one place and time."
 
 def command(
     output: Output,
-    date: Annotated[str, typer.Option(metavar="UTC", help="ISO 8601, as 1978-07-24 or 1978-07-24T06:00:00Z.")],
-    lat: Annotated[float, typer.Option(metavar="DEG", help="Geodetic latitude (WGS 84) [deg].")],
-    lon: Annotated[float, typer.Option(metavar="DEG", help="East longitude [deg].")],
-    alt_km: Annotated[float, typer.Option(metavar="KM", help="Height above the ellipsoid [km].")] = 0.0,
+    date: Annotated[str, of.option("UTC", "ISO 8601, as 1978-07-24 or 1978-07-24T06:00:00Z.")],
+    lat: Annotated[float, of.option("DEG", "Geodetic latitude (WGS 84) [deg].")],
+    lon: Annotated[float, of.option("DEG", "East longitude [deg].")],
+    alt_km: Annotated[float, of.option("KM", "Height above the ellipsoid [km].")] = 0.0,
     field: of.FieldOption = "igrf14",
     degree: of.DegreeOption = None,
 ) -> None:

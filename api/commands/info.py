@@ -5,8 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
 from fluxtwin.commands import options as of
 from fluxtwin.console import Output
 
@@ -19,7 +17,7 @@ _MOST_PASSES = 20
 
 def command(
     output: Output,
-    files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="Telemetry, or foreign files.")],
+    files: Annotated[list[Path], of.argument("FILE...", "Telemetry, or foreign files.")],
     reading: of.Reading = of.READING,
 ) -> None:
     """List columns with units, rates and values, span, gaps, passes, provenance, and what is missing for which verb.

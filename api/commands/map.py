@@ -5,8 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
+from fluxtwin.commands import options as of
 from fluxtwin.console import Output
 
 BRIEF = "Draft a column map from the headers of foreign files."
@@ -15,15 +14,12 @@ BRIEF = "Draft a column map from the headers of foreign files."
 def command(
     output: Output,
     files: Annotated[
-        list[Path] | None,
-        typer.Argument(metavar="FILE...", help="Foreign files of any readable format, or a folder of them."),
+        list[Path] | None, of.argument("FILE...", "Foreign files of any readable format, or a folder of them.")
     ] = None,
     preset: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Write the packaged map of this name, to be edited; or `list`.")
+        str | None, of.option("NAME", "Write the packaged map of this name, to be edited; or `list`.")
     ] = None,
-    out: Annotated[
-        Path | None, typer.Option(metavar="FILE.toml", help="Where to write the map; otherwise it is printed.")
-    ] = None,
+    out: Annotated[Path | None, of.option("FILE.toml", "Where to write the map; otherwise it is printed.")] = None,
 ) -> None:
     """Guess what the columns are from their names and values; whatever was guessed is marked "to be confirmed".
 
@@ -36,7 +32,13 @@ def command(
 
     output.claim({"--out": (out, outputs.COLUMN_MAP)}, files or [])
     if preset == "list":
-        _list(output)
+        from fluxtwin.sim.telemetry import column_map
+
+        rows = [
+            (f"--map preset:{name}", _preset(name).splitlines()[0].removeprefix("# ")) for name in column_map.presets()
+        ]
+        output.table("", ("map", "of"), rows)
+        output.result({"presets": column_map.presets()})
         return
     if preset is None and not files:
         raise BadInput("no file was named", where="FILE", wanted="foreign files, or --preset NAME")
@@ -56,12 +58,3 @@ def _preset(name: str) -> str:
     found = column_map.preset(column_map.PRESET + name)
     assert found is not None
     return found.read_text(encoding="utf-8")
-
-
-def _list(output: Output) -> None:
-    """The packaged maps, each with the first line of what it says of itself."""
-    from fluxtwin.sim.telemetry import column_map
-
-    rows = [(f"--map preset:{name}", _preset(name).splitlines()[0].removeprefix("# ")) for name in column_map.presets()]
-    output.table("", ("map", "of"), rows)
-    output.result({"presets": column_map.presets()})

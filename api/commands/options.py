@@ -19,6 +19,16 @@ if TYPE_CHECKING:
 _KEYWORD = inspect.Parameter.KEYWORD_ONLY
 
 
+def option(metavar: str, text: str, *flags: str, **limits: Any) -> Any:
+    """An option with a value, by default under the name of its parameter; text: its help."""
+    return typer.Option(*flags, metavar=metavar, help=text, **limits)
+
+
+def argument(metavar: str, text: str) -> Any:
+    """An argument, and its help."""
+    return typer.Argument(metavar=metavar, help=text)
+
+
 def declared_option(name: str, option: declared.Option) -> Any:
     """The option of a calibration method, on the command line."""
     flag = f"--{name.replace('_', '-')}"
@@ -32,29 +42,22 @@ AttitudeSigmaOption: TypeAlias = Annotated[
 ]
 AttitudeTauOption: TypeAlias = Annotated[float | None, declared_option("attitude_tau_s", declared.ATTITUDE_TAU_S)]
 CalibrationOption: TypeAlias = Annotated[
-    Path | None,
-    typer.Option(metavar="FILE.toml", help="Calibration file; not for telemetry that apply has corrected."),
+    Path | None, option("FILE.toml", "Calibration file; not for telemetry that apply has corrected.")
 ]
-FieldOption: TypeAlias = Annotated[
-    str, typer.Option(metavar="MODEL", help="Field model: igrf14, igrf1975 or chaos:FILE.")
-]
-DegreeOption: TypeAlias = Annotated[
-    int | None, typer.Option(metavar="N", help="Highest degree to use; default: all of the model.")
-]
+FieldOption: TypeAlias = Annotated[str, option("MODEL", "Field model: igrf14, igrf1975 or chaos:FILE.")]
+DegreeOption: TypeAlias = Annotated[int | None, option("N", "Highest degree to use; default: all of the model.")]
 ScenarioFieldOption: TypeAlias = Annotated[
-    str | None,
-    typer.Option(metavar="MODEL", help="Field to use, instead of the scenario's: igrf14, igrf1975 or chaos:FILE."),
+    str | None, option("MODEL", "Field to use, instead of the scenario's: igrf14, igrf1975 or chaos:FILE.")
 ]
-HtmlOption: TypeAlias = Annotated[Path | None, typer.Option(metavar="FILE", help="Write the report as one HTML page.")]
+HtmlOption: TypeAlias = Annotated[Path | None, option("FILE", "Write the report as one HTML page.")]
 SchedulerOption: TypeAlias = Annotated[
     str | None,
-    typer.Option(
-        metavar="ADDRESS",
-        help="Run on the workers of this Dask scheduler, such as tcp://host:8786; only on a network you trust.",
+    option(
+        "ADDRESS", "Run on the workers of this Dask scheduler, such as tcp://host:8786; only on a network you trust."
     ),
 ]
-OutOption: TypeAlias = Annotated[Path, typer.Option(metavar="FILE", help="File to write.")]
-SeedOption: TypeAlias = Annotated[int | None, typer.Option(metavar="S", help="Random seed; default: the scenario's.")]
+OutOption: TypeAlias = Annotated[Path, option("FILE", "File to write.")]
+SeedOption: TypeAlias = Annotated[int | None, option("S", "Random seed; default: the scenario's.")]
 ResumeOption: TypeAlias = Annotated[bool, typer.Option("--resume", help="Continue an interrupted run in this folder.")]
 QuietOption: TypeAlias = Annotated[
     bool, typer.Option("--quiet", "-q", help="Print only the result and errors: no progress, no notes.")
@@ -65,10 +68,7 @@ VerboseOption: TypeAlias = Annotated[
 
 
 ModelledOption: TypeAlias = Annotated[
-    str,
-    typer.Option(
-        "--modelled", metavar="NAMES", help="Effects to re-estimate in every test, separated by commas; or none."
-    ),
+    str, option("NAMES", "Effects to re-estimate in every test, separated by commas; or none.", "--modelled")
 ]
 MODELLED = "bias,scale_misalignment"
 
@@ -77,33 +77,24 @@ class Reading(NamedTuple):
     """How telemetry is read; a command with a parameter of this type takes an option for each field."""
 
     column_map: Annotated[
-        Path | None,
-        typer.Option("--map", metavar="FILE.toml", help="Column map: how to read the columns of a foreign file."),
+        Path | None, option("FILE.toml", "Column map: how to read the columns of a foreign file.", "--map")
     ] = None
     tle: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="Two-line elements or a CCSDS OEM file that gives the position if the telemetry has none.",
-        ),
+        option("FILE", "Two-line elements or a CCSDS OEM file that gives the position if the telemetry has none."),
     ] = None
     attitude: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE.aem", help="CCSDS AEM file that gives the attitude if the telemetry has none."),
+        Path | None, option("FILE.aem", "CCSDS AEM file that gives the attitude if the telemetry has none.")
     ] = None
     max_samples: Annotated[
-        int | None,
-        typer.Option(metavar="N", min=1, help="Largest number of rows to read from a file; default: 5,000,000."),
+        int | None, option("N", "Largest number of rows to read from a file; default: 5,000,000.", min=1)
     ] = None
-    start: Annotated[
-        str | None, typer.Option("--from", metavar="TIME", help="Use only rows from this instant on (ISO 8601 UTC).")
-    ] = None
-    end: Annotated[str | None, typer.Option("--to", metavar="TIME", help="Use only rows before this instant.")] = None
+    start: Annotated[str | None, option("TIME", "Use only rows from this instant on (ISO 8601 UTC).", "--from")] = None
+    end: Annotated[str | None, option("TIME", "Use only rows before this instant.", "--to")] = None
     where: Annotated[
-        str | None,
-        typer.Option(metavar="CONDITION", help="Use only rows that satisfy this, such as 'sunlit == 1 and speed < 5'."),
+        str | None, option("CONDITION", "Use only rows that satisfy this, such as 'sunlit == 1 and speed < 5'.")
     ] = None
-    magnetometer: Annotated[int, typer.Option(metavar="N", min=1, max=2, help="1, or 2 to use the readings mag2.")] = 1
+    magnetometer: Annotated[int, option("N", "1, or 2 to use the readings mag2.", min=1, max=2)] = 1
 
     @property
     def files(self) -> tuple[Path | None, ...]:
@@ -150,7 +141,7 @@ ASSUMED = Assumed()
 class Workers(NamedTuple):
     """Who does the work; likewise."""
 
-    jobs: Annotated[int | None, typer.Option(metavar="J", help="Number of processes; default: all cores.")] = None
+    jobs: Annotated[int | None, option("J", "Number of processes; default: all cores.")] = None
     scheduler: SchedulerOption = None
 
 
@@ -175,9 +166,7 @@ class _Common(NamedTuple):
             "Inputs are never overwritten.",
         ),
     ] = False
-    json: Annotated[
-        str | None, typer.Option(metavar="FILE", help="Write the result as JSON; '-' is standard output.")
-    ] = None
+    json: Annotated[str | None, option("FILE", "Write the result as JSON; '-' is standard output.")] = None
     quiet: QuietOption = False
     verbose: VerboseOption = False
 

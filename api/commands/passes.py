@@ -5,8 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
+from fluxtwin.commands import options as of
 from fluxtwin.console import Output
 from fluxtwin.scenarios.packaged import NAMES
 
@@ -16,14 +15,10 @@ BRIEF = "List when the stations of a scenario see the spacecraft."
 def command(
     output: Output,
     scenario: Annotated[
-        Path,
-        typer.Argument(metavar="SCENARIO.toml", help=f"Orbit, schedule and stations: a TOML file, or by name {NAMES}."),
+        Path, of.argument("SCENARIO.toml", f"Orbit, schedule and stations: a TOML file, or by name {NAMES}.")
     ],
     stations: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE.toml", help="Stations as [station.NAME] sections, instead of those in the scenario."
-        ),
+        Path | None, of.option("FILE.toml", "Stations as [station.NAME] sections, instead of those in the scenario.")
     ] = None,
 ) -> None:
     """List every pass over every [station.NAME] from the first to the last sample of the schedule.

@@ -15,27 +15,21 @@ BRIEF = "Plan what to fly next to settle what a diagnosis leaves open."
 
 def command(
     output: Output,
-    telemetry: Annotated[
-        Path, typer.Argument(metavar="TELEMETRY|DIAGNOSIS.json", help="Telemetry, or the output of diagnose --json.")
-    ],
+    telemetry: Annotated[Path, of.argument("TELEMETRY|DIAGNOSIS.json", "Telemetry, or the output of diagnose --json.")],
     limits: Annotated[
-        Path | None, typer.Option(metavar="FILE.toml", help="[limits]: what may be flown, how fast and how long.")
+        Path | None, of.option("FILE.toml", "[limits]: what may be flown, how fast and how long.")
     ] = None,
     out: Annotated[
-        Path | None,
-        typer.Option(metavar="PLAN.toml", help="Write the first manoeuvre as a scenario that simulate flies."),
+        Path | None, of.option("PLAN.toml", "Write the first manoeuvre as a scenario that simulate flies.")
     ] = None,
     about: Annotated[
         str,
-        typer.Option(
-            "--for",
-            metavar="NAMES",
-            help="One effect to detect; several, separated by commas, to distinguish; or calibration.",
+        of.option(
+            "NAMES", "One effect to detect; several, separated by commas, to distinguish; or calibration.", "--for"
         ),
     ] = "",
     scenario: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE.toml", help="The spacecraft as flown; otherwise it is inferred from the record."),
+        Path | None, of.option("FILE.toml", "The spacecraft as flown; otherwise it is inferred from the record.")
     ] = None,
     modelled: of.ModelledOption = of.MODELLED,
     assumed: of.Assumed = of.ASSUMED,

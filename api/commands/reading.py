@@ -6,8 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, TypeAlias
 
-import typer
-
+from fluxtwin.commands import options as of
 from fluxtwin.commands.options import Reading
 from fluxtwin.console import Output
 from fluxtwin.sim.base.processes import stop_if_asked
@@ -17,8 +16,7 @@ if TYPE_CHECKING:
     from fluxtwin.sim.telemetry.record import Telemetry
 
 TelemetryArgument: TypeAlias = Annotated[
-    Path,
-    typer.Argument(metavar="TELEMETRY", help="A .nc, .csv or .csv.gz file, or a foreign file or folder with --map."),
+    Path, of.argument("TELEMETRY", "A .nc, .csv or .csv.gz file, or a foreign file or folder with --map.")
 ]
 
 

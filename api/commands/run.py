@@ -5,8 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
+from fluxtwin.commands import options as of
 from fluxtwin.console import Output
 
 BRIEF = "Run a complete study: tables, figures, report.html, summary.json."
@@ -14,18 +13,11 @@ BRIEF = "Run a complete study: tables, figures, report.html, summary.json."
 
 def command(
     output: Output,
-    name: Annotated[
-        str, typer.Argument(metavar="NAME", help="The study: seasat, hcmm, st5, elfin, flight-field or flight-gaps.")
-    ],
-    data: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Folder with recorded data, for flight studies.")
-    ] = None,
-    out: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Folder for the results; default ./NAME-results.")
-    ] = None,
+    name: Annotated[str, of.argument("NAME", "The study: seasat, hcmm, st5, elfin, flight-field or flight-gaps.")],
+    data: Annotated[Path | None, of.option("DIR", "Folder with recorded data, for flight studies.")] = None,
+    out: Annotated[Path | None, of.option("DIR", "Folder for the results; default ./NAME-results.")] = None,
     attitude: Annotated[
-        str | None,
-        typer.Option(metavar="HOW", help="seasat, hcmm: moved by torques (dynamics, default) or as prescribed."),
+        str | None, of.option("HOW", "seasat, hcmm: moved by torques (dynamics, default) or as prescribed.")
     ] = None,
 ) -> None:
     """Run a whole study: tables here; figures, report.html, summary.json and the scenario in a folder."""

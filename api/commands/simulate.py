@@ -4,28 +4,21 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
-
-import typer
+from typing import Annotated
 
 from fluxtwin.commands import options as of
 from fluxtwin.console import Output
 from fluxtwin.scenarios.packaged import NAMES, load_scenario
-
-if TYPE_CHECKING:
-    from fluxtwin.sim.scenario.scenario import Scenario
 
 BRIEF = "Simulate telemetry from a scenario."
 
 
 def command(
     output: Output,
-    scenario: Annotated[
-        Path, typer.Argument(metavar="SCENARIO.toml", help=f"What is simulated: a TOML file, or by name {NAMES}.")
-    ],
+    scenario: Annotated[Path, of.argument("SCENARIO.toml", f"What is simulated: a TOML file, or by name {NAMES}.")],
     out: of.OutOption,
     truth: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write the truth to this file; telemetry never contains it.")
+        Path | None, of.option("FILE", "Write the truth to this file; telemetry never contains it.")
     ] = None,
     field: of.ScenarioFieldOption = None,
     degree: of.DegreeOption = None,
@@ -52,7 +45,14 @@ def command(
             "the scenario beside --out:": (beside, outputs.SCENARIO),
         }
         output.claim(targets, [scenario, field])
-        saved = _seen_from(plan, out.parent)
+        # The scenario with the files it names given relative to `folder`, where its copy is going to lie.
+        named = {
+            "orbit.tle": plan.orbit and plan.orbit.tle,
+            "replay.telemetry": plan.replay and plan.replay.telemetry,
+            "replay.column_map": plan.replay and plan.replay.column_map,
+        }
+        moved = {key: os.path.relpath(plan.path_of(name), out.parent) for key, name in named.items() if name}
+        saved = plan.updated(moved) if moved else plan
         record, real = simulate(plan, progress=progress)
         written = [write_telemetry(record, out)]
         if beside is not None:
@@ -65,14 +65,3 @@ def command(
     output.files(written)
     about = {"name": plan.name, "seed": plan.seed, "samples": len(record), "span": span}
     output.result({**about, "written": [str(path) for path in written]})
-
-
-def _seen_from(plan: Scenario, folder: Path) -> Scenario:
-    """The scenario with the files it names given relative to `folder`, where its copy is going to lie."""
-    named = {
-        "orbit.tle": plan.orbit and plan.orbit.tle,
-        "replay.telemetry": plan.replay and plan.replay.telemetry,
-        "replay.column_map": plan.replay and plan.replay.column_map,
-    }
-    moved = {key: os.path.relpath(plan.path_of(name), folder) for key, name in named.items() if name}
-    return plan.updated(moved) if moved else plan

@@ -17,21 +17,15 @@ BRIEF = "Test whether a calibration still holds: compare calibrations, or teleme
 
 def command(
     output: Output,
-    files: Annotated[
-        list[Path], typer.Argument(metavar="FILE...", help="Calibration files, or telemetry to be calibrated.")
-    ],
+    files: Annotated[list[Path], of.argument("FILE...", "Calibration files, or telemetry to be calibrated.")],
     every: Annotated[
         float | None,
-        typer.Option(
-            metavar="HOURS",
-            help="Cut telemetry into stretches of this length; default: a single file is cut into days.",
-        ),
+        of.option("HOURS", "Cut telemetry into stretches of this length; default: a single file is cut into days."),
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FILE.toml",
-            help="Write the last calibration with the date at which its drift, if it has one, makes it expire.",
+        of.option(
+            "FILE.toml", "Write the last calibration with the date at which its drift, if it has one, makes it expire."
         ),
     ] = None,
     html: of.HtmlOption = None,

@@ -5,8 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from fluxtwin.commands import options as of
 from fluxtwin.commands.reading import TelemetryArgument, known_calibration, read, write_table
 from fluxtwin.console import Output
@@ -19,17 +17,13 @@ def command(
     output: Output,
     telemetry: TelemetryArgument,
     calibration: of.CalibrationOption = None,
-    out: Annotated[Path | None, typer.Option(metavar="FILE.csv", help="Write yaw row by row.")] = None,
+    out: Annotated[Path | None, of.option("FILE.csv", "Write yaw row by row.")] = None,
     sigma_nt: Annotated[
         float | None,
-        typer.Option(
-            "--sigma-nT", metavar="NT", help="Error of a field component, 1 sigma [nT]; default: from the calibration."
-        ),
+        of.option("NT", "Error of a field component, 1 sigma [nT]; default: from the calibration.", "--sigma-nT"),
     ] = None,
-    attitude_sigma_deg: Annotated[
-        float, typer.Option(metavar="DEG", help="Error of roll and of pitch, 1 sigma [deg].")
-    ] = 0.1,
-    average_s: Annotated[float, typer.Option(metavar="S", help="Interval of the averages [s].")] = 120.0,
+    attitude_sigma_deg: Annotated[float, of.option("DEG", "Error of roll and of pitch, 1 sigma [deg].")] = 0.1,
+    average_s: Annotated[float, of.option("S", "Interval of the averages [s].")] = 120.0,
     field: of.FieldOption = "igrf14",
     degree: of.DegreeOption = None,
     reading: of.Reading = of.READING,

@@ -86,7 +86,15 @@ def calibrate_scanner(
     first = residual_of(np.zeros(2))
     found = least_squares(residual_of, np.zeros(2), jac="3-point", xtol=1e-14, ftol=1e-14, gtol=1e-14)
     bias, residual, J = found.x, found.fun, np.asarray(found.jac)
-    _require_both(J, float(np.sqrt(np.mean(residual**2))))
+    # Both biases must come out better than five degrees for the scatter at hand.
+    values, vectors = np.linalg.eigh(J.T @ J)
+    sigma_deg = float(np.degrees(max(float(np.sqrt(np.mean(residual**2))), 1e-4) / np.sqrt(max(values[0], 1e-30))))
+    if sigma_deg > _WEAK_DEG:
+        roll, pitch = vectors[:, 0]
+        raise NoAnswer(
+            f"the sun stays where {roll:+.2f} roll {pitch:+.2f} pitch cannot be seen; more of the orbit is needed",
+            evidence={"direction": [float(roll), float(pitch)], "sigma_deg": sigma_deg},
+        )
     label = segments(telemetry.time[rows]) if passes is None else np.asarray(passes)[rows]
     covariance, count = _by_pass(J, residual, label)
     return ScannerCalibration(
@@ -119,18 +127,6 @@ def sun_and_nadir(telemetry: Telemetry) -> np.ndarray:
     rows = np.flatnonzero(good & telemetry.has_position)
     apart = frames.angle_between(np.array(telemetry.sun_B)[rows], np.array(telemetry.nadir_B)[rows])
     return rows[(apart > _NEAR_LINE) & (apart < np.pi - _NEAR_LINE)]
-
-
-def _require_both(J: FloatArray, residual_rad: float) -> None:
-    """Both biases must come out better than five degrees for the scatter at hand."""
-    values, vectors = np.linalg.eigh(J.T @ J)
-    sigma_deg = float(np.degrees(max(residual_rad, 1e-4) / np.sqrt(max(values[0], 1e-30))))
-    if sigma_deg > _WEAK_DEG:
-        roll, pitch = vectors[:, 0]
-        raise NoAnswer(
-            f"the sun stays where {roll:+.2f} roll {pitch:+.2f} pitch cannot be seen; more of the orbit is needed",
-            evidence={"direction": [float(roll), float(pitch)], "sigma_deg": sigma_deg},
-        )
 
 
 def _by_pass(J: FloatArray, residual: FloatArray, label: np.ndarray) -> tuple[FloatArray, int]:

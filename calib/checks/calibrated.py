@@ -33,24 +33,22 @@ def check_calibrated(
     size_nT = np.linalg.norm(sample.field_N_nT, axis=1)
     as_is = _misfit_nT(sample.mag_nT, size_nT)
     if onboard is not None:
-        return [_against(onboard, sample.mag_nT, size_nT, as_is)]
+        held = OffsetFirst(onboard.M, onboard.o_nT)
+        undone, applied = (_misfit_nT(change(sample.mag_nT), size_nT) for change in (held.undo, held.apply))
+        said = "these data do not tell whether it was applied"
+        if CLEAR * applied < min(as_is, undone):
+            said = f"{NOT_APPLIED}; calibrate without --onboard"
+        elif CLEAR * as_is < min(applied, undone):
+            said = "the readings are corrected by it already; calibrate --onboard undoes that"
+        elif CLEAR * undone < min(applied, as_is):
+            said = "it was applied and makes the readings worse, or it belongs to another sensor"
+        return [
+            note("calibrated_or_raw.onboard", as_is=as_is, undone=undone, applied=applied, name=onboard.name, said=said)
+        ]
     if CALIBRATED_NT < as_is < RAW_NT:
         return []
     calibrated = as_is <= CALIBRATED_NT
     return [note("calibrated_or_raw.calibrated" if calibrated else "calibrated_or_raw.raw", misfit=as_is)]
-
-
-def _against(onboard: Onboard, mag_nT: FloatArray, size_nT: FloatArray, as_is: float) -> Finding:
-    held = OffsetFirst(onboard.M, onboard.o_nT)
-    undone, applied = (_misfit_nT(change(mag_nT), size_nT) for change in (held.undo, held.apply))
-    said = "these data do not tell whether it was applied"
-    if CLEAR * applied < min(as_is, undone):
-        said = f"{NOT_APPLIED}; calibrate without --onboard"
-    elif CLEAR * as_is < min(applied, undone):
-        said = "the readings are corrected by it already; calibrate --onboard undoes that"
-    elif CLEAR * undone < min(applied, as_is):
-        said = "it was applied and makes the readings worse, or it belongs to another sensor"
-    return note("calibrated_or_raw.onboard", as_is=as_is, undone=undone, applied=applied, name=onboard.name, said=said)
 
 
 def _misfit_nT(mag_nT: FloatArray, size_nT: FloatArray) -> float:

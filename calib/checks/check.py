@@ -3,10 +3,13 @@
 One cause, one name: stuck values and positions that contradict themselves are looked for first, then unit, position,
 attitude and clock against the field model, then outliers; what follows from a trap is not named beside it. Thresholds
 stand beside their reasons in the modules `check_*`.
+
+Columns that stand one place beside their names.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
@@ -15,7 +18,6 @@ from typing import Any, Literal
 import numpy as np
 
 from fluxtwin.calib.checks.calibrated import check_calibrated
-from fluxtwin.calib.checks.columns import check_columns
 from fluxtwin.calib.checks.field import check_field
 from fluxtwin.calib.checks.report import CheckReport, Finding, note, report, trap
 from fluxtwin.calib.checks.sample import Origin
@@ -24,7 +26,7 @@ from fluxtwin.calib.checks.values import check_motion, check_readings
 from fluxtwin.calib.common.records import Onboard
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.limits import MAX_SAMPLES
-from fluxtwin.sim.base.types import BoolArray
+from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.earth.field import FieldModel
 from fluxtwin.sim.earth.tle import read_elements
@@ -38,6 +40,8 @@ from fluxtwin.sim.telemetry.record import Telemetry
 from fluxtwin.sim.telemetry.selection import Selection, selection
 from fluxtwin.sim.telemetry.telemetry_files import read_table, write_telemetry
 
+ORBIT_SPREAD = 0.15
+"""Relative spread of |r| up to an eccentricity of 0.2."""
 RECOGNISED = "recognised_layout"
 """Code of the note that a packaged column map was used."""
 POSITION_TRAPS = {"position_frame", "position_inside_earth"}
@@ -45,6 +49,56 @@ POSITION_TRAPS = {"position_frame", "position_inside_earth"}
 _QUIET_ROWS = 100
 """As many as the comparison with the field takes at once: with fewer it says little."""
 __all__ = ["RECOGNISED", "CheckReport", "Finding", "check_file", "check_telemetry", "repair"]
+
+
+def check_columns(table: FileTable) -> list[Finding]:
+    """The trap `shifted_columns`: the numbers make sense only under the names one place further."""
+    names = list(table.columns)
+    if not all(_sense(table, names, 0).values()):
+        for shift in (1, -1):
+            moved = _sense(table, names, shift)
+            if all(moved.values()) and (len(moved) >= 2 or "q_x" in moved):  # four columns of norm 1 are no chance
+                first, second = (names[0], names[1]) if shift > 0 else (names[1], names[0])
+                return [trap("shifted_columns", first=first, second=second)]
+    return []
+
+
+def _sense(table: FileTable, names: list[str], shift: int) -> dict[str, bool]:
+    """For each quantity that is there, by its first column: whether the numbers `shift` places further can be it."""
+    out = {}
+    for stems, possible in _POSSIBLE:
+        if not set(stems) <= set(names):
+            continue
+        places = [names.index(stem) + shift for stem in stems]
+        if min(places) >= 0 and max(places) < len(names):
+            with np.errstate(over="ignore", invalid="ignore"):
+                values = np.stack([table.columns[names[place]] for place in places], axis=1)
+                size = np.linalg.norm(values[np.isfinite(values).all(axis=1)], axis=1)
+                out[stems[0]] = bool(size.size) and possible(size)
+    return out
+
+
+def _orbit(size: FloatArray) -> bool:
+    """In km or m."""
+    typical = float(np.median(size))
+    return typical > 6_400.0 and float(np.std(size)) < ORBIT_SPREAD * typical
+
+
+def _speed(size: FloatArray) -> bool:
+    return 0.5 < float(np.median(size)) < 12_000.0 and float(np.std(size)) < 0.5 * float(np.median(size))
+
+
+def _unit(size: FloatArray) -> bool:
+    return float(np.median(np.abs(size - 1.0))) < 1e-3
+
+
+_POSSIBLE: tuple[tuple[tuple[str, ...], Callable[[FloatArray], bool]], ...] = (
+    (("r_x_km", "r_y_km", "r_z_km"), _orbit),
+    (("ecef_x_km", "ecef_y_km", "ecef_z_km"), _orbit),
+    (("v_x_km_s", "v_y_km_s", "v_z_km_s"), _speed),
+    (("q_x", "q_y", "q_z", "q_w"), _unit),
+    (("sun_x", "sun_y", "sun_z"), _unit),
+)
 
 
 def check_telemetry(

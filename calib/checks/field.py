@@ -2,6 +2,8 @@
 
 One cause is named: what follows from it is not. All readings of the record that differ from it as it stands are weighed
 against each other (`check_evidence`), so that the first name is the best one.
+
+Attitude relative to axes of date under the name of GCRS, tested with the measured sun.
 """
 
 from __future__ import annotations
@@ -9,6 +11,7 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from fluxtwin.calib.checks.clock import (
     BLOCKS,
@@ -29,14 +32,16 @@ from fluxtwin.calib.checks.evidence import Evidence, MODEL_nT, scalar_evidence, 
 from fluxtwin.calib.checks.orientation import FAR_BETTER, LOCAL, ORIENTATION, SINGLE_COST, Hypothesis, orientations
 from fluxtwin.calib.checks.outliers import check_outliers, without_gross_outliers
 from fluxtwin.calib.checks.report import Finding, named, note, trap
-from fluxtwin.calib.checks.sample import FEWEST, Origin, Sample, comparable, rms
-from fluxtwin.calib.checks.sun import check_of_date
+from fluxtwin.calib.checks.sample import FEWEST, MAX_ROWS, Origin, Sample, comparable, rms
 from fluxtwin.calib.checks.unit import SMALLEST_MISFIT_nT, blind_magnitude, check_unit
 from fluxtwin.sim.base.errors import OutOfRange
 from fluxtwin.sim.base.types import BoolArray, FloatArray
+from fluxtwin.sim.earth import frames, sun
 from fluxtwin.sim.earth.field import FieldModel, field_N_nT
 from fluxtwin.sim.telemetry.record import Telemetry
 
+SUN_MISFIT_DEG = 20.0
+"""Sun sensors err by less than a few degrees; a wrong attitude or axis by tens."""
 ORIENTATION_MISFIT, SCALAR_MISFIT = 0.2, 0.1
 """Share of |B| left after the fit, by vectors and by |B|: above, nothing fits. Misaligned, miscaled sensors leave up
 to 0.17 (S of 10 % in every element)."""
@@ -50,6 +55,53 @@ POSITION_COST = 10.0
 """Log prior odds against swapped or reversed axes of the position."""
 AMBIGUOUS = 2.0
 """Log odds below which two names are not distinguished."""
+
+
+def check_of_date(telemetry: Telemetry) -> list[Finding]:
+    """Attitude relative to axes of date under the name GCRS, tested with the measured sun."""
+    if telemetry.sun_B is None or telemetry.q_NB is None:
+        return [note("of_date_not_tested.no_sun")]
+    rows = np.flatnonzero(telemetry.has_attitude & np.isfinite(telemetry.sun_B).all(axis=1))
+    rows = rows[np.linspace(0, rows.size - 1, min(rows.size, MAX_ROWS)).astype(int)] if rows.size else rows
+    if rows.size < FEWEST:
+        return [note("of_date_not_tested.few")]
+    time, measured = telemetry.time[rows], np.array(telemetry.sun_B[rows])
+    measured /= np.linalg.norm(measured, axis=1)[:, None]
+    R_BN = frames.rotation_from_q(telemetry.q_NB[rows])
+    towards = sun.sun_direction_N(time)
+    turn, _ = Rotation.align_vectors(measured, R_BN.apply(towards))
+    plain = turn.apply(R_BN.apply(towards))
+    off = float(np.degrees(np.sqrt(np.mean(np.sum((measured - plain) ** 2, axis=1)))))
+    if off > SUN_MISFIT_DEG:
+        return [trap("sun_vector", off=off)]
+    dated = turn.apply(R_BN.apply(frames.rotation_TN(time).apply(towards)))
+    return _share_of_date(measured - plain, dated - plain, plain)
+
+
+def _share_of_date(residual: FloatArray, shift: FloatArray, towards_B: FloatArray) -> list[Finding]:
+    """How much of the shift from GCRS to axes of date the sun residuals contain: 0 or 1, or it cannot be said.
+
+    A constant small turn of the sensor is free. The uncertainty is that of ten blocks in time, left out in turn
+    (jackknife), so that attitude errors which last for minutes count.
+    """
+    turns = [np.cross(axis, towards_B) for axis in np.eye(3)]
+    design = np.stack([shift, *turns], axis=-1)
+    free = np.stack(turns, axis=-1).reshape(-1, 3)
+    flat = shift.reshape(-1)
+    alone = (flat - free @ np.linalg.lstsq(free, flat, rcond=None)[0]).reshape(shift.shape)
+    seen = float(np.degrees(np.sqrt(np.mean(np.sum(alone**2, axis=1)))))
+    blocks = np.array_split(np.arange(len(residual)), 10)
+    shares = []
+    for block in blocks:
+        rest = np.setdiff1d(np.arange(len(residual)), block)
+        fit = np.linalg.lstsq(design[rest].reshape(-1, 4), residual[rest].reshape(-1), rcond=None)[0]
+        shares.append(float(fit[0]))
+    share, sigma = float(np.mean(shares)), float(np.std(shares) * np.sqrt(len(blocks) - 1))
+    if seen < 0.01 or sigma > 0.15:
+        return [note("of_date_not_tested.alike", seen=seen)]
+    if abs(share - 1.0) > 0.3 or share < 6.0 * sigma:
+        return []
+    return [trap("attitude_of_date", share=100 * share, sigma=100 * sigma, seen=seen)]
 
 
 def check_field(telemetry: Telemetry, model: FieldModel, origin: Origin, usable: BoolArray) -> list[Finding]:
@@ -97,7 +149,14 @@ def _by_vectors(sample: Sample, telemetry: Telemetry, model: FieldModel, origin:
     if found is not None and not poor:
         return [found]
     if misfit[0] <= max(ORIENTATION_MISFIT * sample.typical_nT, SMALLEST_MISFIT_nT):
-        return _notes(sample)
+        findings = []
+        expected = sample.R_BN.apply(sample.field_N_nT)
+        missed = rms(sample.mag_nT - expected)
+        if missed > LARGE_BIAS_nT:
+            findings.append(note("large_bias.by_vectors", missed=missed))
+        if rms(expected - expected.mean(axis=0)) < 0.15 * sample.typical_nT:
+            findings.append(note("orientation_not_tested.steady"))
+        return findings
     late = readings_shift(sample, telemetry, model)
     if late is not None:
         return [_readings_late(*late)]
@@ -229,15 +288,3 @@ def _readings_late(shift_s: float, as_is_nT: float, mended: float) -> Finding:
     late, side = ("late", "before") if shift_s > 0 else ("early", "after")
     misses = {"as_is": as_is_nT, "mended": mended}
     return trap("clock.readings", hours=abs(shift_s) / 3600.0, late=late, side=side, offset=-shift_s, **misses)
-
-
-def _notes(sample: Sample) -> list[Finding]:
-    """A bias that is large, and attitudes that hardly tell anything."""
-    findings = []
-    expected = sample.R_BN.apply(sample.field_N_nT)
-    missed = rms(sample.mag_nT - expected)
-    if missed > LARGE_BIAS_nT:
-        findings.append(note("large_bias.by_vectors", missed=missed))
-    if rms(expected - expected.mean(axis=0)) < 0.15 * sample.typical_nT:
-        findings.append(note("orientation_not_tested.steady"))
-    return findings

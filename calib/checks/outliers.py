@@ -89,7 +89,12 @@ def _left(
     good = telemetry.has_reading & usable
     if sample is None or telemetry.r_N_km is None:
         rows = np.flatnonzero(good)
-        left = _beside_its_course(np.linalg.norm(telemetry.mag_B_nT[rows], axis=1))
+        # (n - 28,) sizes less the median mean of pairs of rows five to fourteen before and after: where they rise from row
+        # to row by more than their noise, each is its own running median, and noise would show nowhere.
+        size_nT = np.linalg.norm(telemetry.mag_B_nT[rows], axis=1)
+        inside = np.arange(_FURTHEST, max(size_nT.size - _FURTHEST, _FURTHEST))
+        pairs = [0.5 * (size_nT[inside - k] + size_nT[inside + k]) for k in range(LONGEST_RUN + 1, _FURTHEST + 1)]
+        left = np.asarray(size_nT[inside] - np.median(pairs, axis=0))
         return rows[_FURTHEST:-_FURTHEST], left[:, None], None
     good &= telemetry.has_position
     if sample.q_NB is not None:
@@ -97,7 +102,12 @@ def _left(
     rows = np.flatnonzero(good)
     field = field_N_nT(model, telemetry.time[rows], telemetry.r_N_km[rows])
     mag = np.array(telemetry.mag_B_nT[rows])
-    beside = _driving(telemetry, rows)
+    # (n, J) currents and drivers, each between 0 and 1, as many as the rows can tell apart. Their field is fitted too: in a
+    # body that turns fast it changes from row to row.
+    columns = [telemetry.array_current_A, telemetry.battery_current_A, *telemetry.drivers.values()]
+    known = [column[rows] for column in columns if column is not None]
+    moving = [(one - one.min()) / np.ptp(one) for one in known if np.isfinite(one).all() and np.ptp(one) > 0.0]
+    beside = np.array(moving[: rows.size // _ROWS_EACH]).reshape(-1, rows.size).T
     if sample.q_NB is None or telemetry.q_NB is None:
         size = np.linalg.norm(field, axis=1)
         return rows, _ellipsoid(mag, size, beside)[:, None], None
@@ -107,23 +117,6 @@ def _left(
     steady = _steady(predicted - mag)
     fit = np.column_stack([_robust(terms, predicted[:, axis], steady) for axis in range(3)])
     return rows, R_BN.apply(predicted - terms @ fit, inverse=True), field
-
-
-def _beside_its_course(size_nT: FloatArray) -> FloatArray:
-    """(n - 28,) sizes less the median mean of pairs of rows five to fourteen before and after: where they rise from row
-    to row by more than their noise, each is its own running median, and noise would show nowhere."""
-    inside = np.arange(_FURTHEST, max(size_nT.size - _FURTHEST, _FURTHEST))
-    pairs = [0.5 * (size_nT[inside - k] + size_nT[inside + k]) for k in range(LONGEST_RUN + 1, _FURTHEST + 1)]
-    return np.asarray(size_nT[inside] - np.median(pairs, axis=0))
-
-
-def _driving(telemetry: Telemetry, rows: np.ndarray) -> FloatArray:
-    """(n, J) currents and drivers, each between 0 and 1, as many as the rows can tell apart. Their field is fitted too: in a
-    body that turns fast it changes from row to row."""
-    columns = [telemetry.array_current_A, telemetry.battery_current_A, *telemetry.drivers.values()]
-    known = [column[rows] for column in columns if column is not None]
-    moving = [(one - one.min()) / np.ptp(one) for one in known if np.isfinite(one).all() and np.ptp(one) > 0.0]
-    return np.array(moving[: rows.size // _ROWS_EACH]).reshape(-1, rows.size).T
 
 
 def _ellipsoid(mag_nT: FloatArray, size_nT: FloatArray, beside: FloatArray) -> FloatArray:

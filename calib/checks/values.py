@@ -37,7 +37,15 @@ def check_motion(telemetry: Telemetry) -> list[Finding]:
 
     What follows from wrong positions is not named beside them.
     """
-    findings = [*_steps(telemetry), *_missing(telemetry)]
+    findings: list[Finding] = []
+    columns = {}
+    if telemetry.r_N_km is not None:
+        columns["position"] = telemetry.has_position
+    if telemetry.q_NB is not None:
+        columns["attitude"] = telemetry.has_attitude
+    for name, present in columns.items():
+        findings += _missing_rows(telemetry, name, present)
+    findings = [*_steps(telemetry), *findings]
     positions = _positions(telemetry)
     if not positions and telemetry.sunlit is not None and telemetry.r_N_km is not None:
         positions = check_sunlit(telemetry.time, np.array(telemetry.r_N_km), np.array(telemetry.sunlit))
@@ -90,18 +98,6 @@ def _steps(telemetry: Telemetry) -> list[Finding]:
     if slips.size and steady.mean() > 0.9:
         worst = float(np.abs(step[slips] - usual).max())
         findings.append(note("clock_slips", slips, count=slips.size, usual=usual, worst=worst))
-    return findings
-
-
-def _missing(telemetry: Telemetry) -> list[Finding]:
-    findings: list[Finding] = []
-    columns = {}
-    if telemetry.r_N_km is not None:
-        columns["position"] = telemetry.has_position
-    if telemetry.q_NB is not None:
-        columns["attitude"] = telemetry.has_attitude
-    for name, present in columns.items():
-        findings += _missing_rows(telemetry, name, present)
     return findings
 
 

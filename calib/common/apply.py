@@ -34,7 +34,11 @@ def apply_calibration(telemetry: Telemetry, calibration: Calibration, *, force: 
     note = (
         f"{CONVENTION!r} by {calibration.method or 'hand'}, of {calibration.spacecraft or 'unnamed spacecraft'}{span}"
     )
-    stamped = {"calibration": _stamp(telemetry, calibration), "calibration_note": note}
+    own = calibration.digest[:_DIGEST_SHOWN]
+    match = _STAMP.match(telemetry.corrected_by)
+    chain = f"{match[1]} then {own}" if match else own
+    words = f"calibration {chain} (residual {calibration.sigma_nT:.3g} nT)"
+    stamped = {"calibration": words, "calibration_note": note}
     return telemetry.replace(mag_B_nT=corrected, provenance={**telemetry.provenance, **stamped})
 
 
@@ -135,11 +139,3 @@ def known_sigma_nT(telemetry: Telemetry) -> float | None:
     """Residual of a component [nT] that the calibration of corrected readings had stated; None where unknown."""
     match = _STAMP.match(telemetry.corrected_by)
     return None if match is None else float(match[2])
-
-
-def _stamp(telemetry: Telemetry, calibration: Calibration) -> str:
-    """`calibration 3fa2c1d09e77 (residual 50.8 nT)`: short, as a CSV repeats it in every row."""
-    own = calibration.digest[:_DIGEST_SHOWN]
-    match = _STAMP.match(telemetry.corrected_by)
-    chain = f"{match[1]} then {own}" if match else own
-    return f"calibration {chain} (residual {calibration.sigma_nT:.3g} nT)"

@@ -185,17 +185,17 @@ def calibration_text(calibration: Calibration) -> str:
     lines += ["", "[source]", tomli_w.dumps(content["source"]).strip(), f'{_SHA} = "{digest}"', ""]
     if "telemetry_bias" in content:
         lines += [
-            "# Fields that follow a column, in nT per unit of it: subtracted from the reading before S, b and T act."
+            "# Fields that follow a column, in nT per unit of it: subtracted from the reading before S, b and T act.",
+            tomli_w.dumps({"telemetry_bias": content["telemetry_bias"]}),
         ]
-        lines += [tomli_w.dumps({"telemetry_bias": content["telemetry_bias"]})]
     if "onboard" in content:
         lines += [
-            "# The telemetry had been corrected on board, m' = M (m - o_nT). That was undone: the parameters above act"
+            "# The telemetry had been corrected on board, m' = M (m - o_nT). That was undone: the parameters above act",
+            "# on m, what the sensor reads; fluxtwin apply and yaw compose the two for telemetry as it comes down.",
+            "[onboard]",
+            *(f"{key} = {json.dumps(value)}" for key, value in content["onboard"].items()),
+            "",
         ]
-        lines += [
-            "# on m, what the sensor reads; fluxtwin apply and yaw compose the two for telemetry as it comes down."
-        ]
-        lines += ["[onboard]", *(f"{key} = {json.dumps(value)}" for key, value in content["onboard"].items()), ""]
     if "covariance" in content:
         covariance = content["covariance"]
         lines += ["# Units: those of the parameters, in this order.", "[covariance]"]
@@ -276,25 +276,14 @@ def _from_flat(flat: _Flat, where: str) -> Calibration:
             where=f"{where}: convention",
             wanted=f"{CONVENTION!r} (S, b and T map the reading to the true field)",
         )
-    arrays = {
-        "convention",
-        "S",
-        "b_nT",
-        "T_nT_per_Am2",
-        "covariance",
-        "span",
-        "temperature_degC",
-        "expires",
-        "telemetry_bias",
-        "onboard",
-    }
-    alike = flat.model_dump(exclude=arrays)
+    alike = flat.model_dump(include=set(_Source.model_fields) - {"span", "temperature_degC", "expires"})
     try:
         calibration = Calibration(
             S=array_of(flat.S, (3, 3), "S"),
             b_nT=array_of(flat.b_nT, (3,), "b_nT"),
             T_nT_per_Am2=None if flat.T_nT_per_Am2 is None else array_of(flat.T_nT_per_Am2, (3, 3), "T_nT_per_Am2"),
             covariance=np.array(flat.covariance, dtype=np.float64) if flat.covariance else np.zeros((0, 0)),
+            covariance_kind=flat.covariance_kind,
             span=_span(flat.span),
             temperature_degC=_temperature(flat.temperature_degC),
             expires=epoch.parse_time(flat.expires, where="expires") if flat.expires else None,

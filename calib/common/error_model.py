@@ -117,16 +117,6 @@ class Posterior(NamedTuple):
     slow_tau_s: FloatArray
 
     @property
-    def attitude_rad(self) -> FloatArray:
-        """(n,) both parts."""
-        return np.hypot(self.theta_rad, self.white_theta_rad)
-
-    @property
-    def taus_s(self) -> tuple[FloatArray, FloatArray]:
-        """Of the attitude's error and the slow one."""
-        return self.tau_s, self.slow_tau_s
-
-    @property
     def nodes_s(self) -> FloatArray:
         """Time constants at which covariances are worked out."""
         every = np.concatenate([self.tau_s, self.slow_tau_s])
@@ -365,7 +355,9 @@ def find_errors(of: LikelihoodCells, sigma_deg: float | None = None, tau_s: floa
     if len(of.seconds) - width < _SPARE or not (of.residual_nT**2).sum() > 0 or not (of.image_nT**2).sum() > 0:
         return None
     likelihood = _Likelihood(of, sigma_deg, tau_s)
-    value, p = _climb(likelihood)
+    # A point near the maximum: the best that is reached from several starts, one coordinate after the other.
+    found = [_climb_from(likelihood, p, _TRIED) for p in likelihood.starts()]
+    value, p = _climb_from(likelihood, max(found, key=lambda one: one[0])[1], _SEARCH)
     if not np.isfinite(value):
         return None
     samples, factor = likelihood.chain(p)
@@ -374,12 +366,6 @@ def find_errors(of: LikelihoodCells, sigma_deg: float | None = None, tau_s: floa
     size = np.exp(_sizes(samples))
     theta = np.zeros_like(factor) if tau_s == 0.0 else factor * size[:, 0]
     return Posterior(factor, theta, size[:, 1], factor * size[:, 2], factor * size[:, 3], size[:, 4])
-
-
-def _climb(likelihood: _Likelihood) -> tuple[float, FloatArray]:
-    """A point near the maximum: the best that is reached from several starts, one coordinate after the other."""
-    found = [_climb_from(likelihood, p, _TRIED) for p in likelihood.starts()]
-    return _climb_from(likelihood, max(found, key=lambda one: one[0])[1], _SEARCH)
 
 
 def _climb_from(likelihood: _Likelihood, p: FloatArray, rounds: int) -> tuple[float, FloatArray]:

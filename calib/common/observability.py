@@ -67,11 +67,6 @@ def direction_words(v: FloatArray) -> str:
     return f"body direction ({v[0]:.2f}, {v[1]:.2f}, {v[2]:.2f})"
 
 
-def fired_axes(D_Am2: FloatArray) -> np.ndarray:
-    """Indices of the torquer axes that fired at least once in the rows (N, 3)."""
-    return np.flatnonzero(np.abs(D_Am2).max(axis=0) > 0)
-
-
 def never_fired_words(fired: np.ndarray) -> list[str]:
     """One sentence for each torquer axis that never fired."""
     return [

@@ -152,7 +152,8 @@ def assess(
     return Verdict(
         level="bad" if impossible else "usable" if limits else "good",
         reasons=(*([coupling] if coupling else []), *([*impossible, *of_orbit] if impossible else limits)),
-        residual=_residual_words(fit, along, residual_nT, impossible=bool(impossible)) + _aside_words(fit),
+        residual=_residual_words(fit, along, residual_nT, impossible=bool(impossible))
+        + (say("verdict.aside", count=fit.rejected, rows=_rows(fit)) if fit.rejected else ""),
         residual_nT=residual_nT,
         along_field_nT=along.found_nT,
         along_field_expected_nT=along.noise_nT,
@@ -300,10 +301,6 @@ def _residual_words(fit: Fit, along: Along, residual_nT: float, *, impossible: b
     if model is not None and model.attitude_sigma_deg is not None:
         because = say("verdict.because_both", reading=reading, model=model)
     return say("verdict.residual", residual=residual_nT, because=because, along=along)
-
-
-def _aside_words(fit: Fit) -> str:
-    return say("verdict.aside", count=fit.rejected, rows=_rows(fit)) if fit.rejected else ""
 
 
 def _rows(fit: Fit) -> int:

@@ -103,7 +103,8 @@ def fit_design(
 
     noise: of the reading, where it is known; readings less a field have lost the step in which they came.
     """
-    fired = np.zeros(0, dtype=int) if design.D_Am2 is None else observability.fired_axes(design.D_Am2)
+    # Torquer axes that fired at least once.
+    fired = np.flatnonzero(np.zeros(0) if design.D_Am2 is None else np.abs(design.D_Am2).max(axis=0) > 0)
     wanted = _SAMPLES[options.parameters] + 3 * len(design.columns)
     observability.require_samples(len(design), wanted)
     dipole = [design.D_Am2[:, fired]] if design.D_Am2 is not None and fired.size else []

@@ -178,7 +178,7 @@ def _error_model(problem: LinearProblem, solution: Solution, posterior: Posterio
     """In the words of a reader."""
     options = problem.options
     sigma = float(np.median(posterior.sigma_nT))
-    attitude = posterior.attitude_rad
+    attitude = np.hypot(posterior.theta_rad, posterior.white_theta_rad)
     theta, white = float(np.median(posterior.theta_rad)), float(np.median(posterior.white_theta_rad))
     declared = options.attitude_sigma_deg is not None
     low, high = np.degrees(np.quantile(attitude, [0.05, 0.95]))

@@ -201,7 +201,8 @@ def spread_of(
     residual and regressor. white_factor: of robust weights, their effect on it."""
     K, size = added.score.shape
     # Within a cell an error counts as constant; one that lasts less is white, as strong as its integral over time.
-    brief = [np.where(tau < added.length_s, 1.0 / np.tanh(0.5 * added.step_s / tau), 0.0) for tau in posterior.taus_s]
+    taus_s = (posterior.tau_s, posterior.slow_tau_s)
+    brief = [np.where(tau < added.length_s, 1.0 / np.tanh(0.5 * added.step_s / tau), 0.0) for tau in taus_s]
     theta2, slow2 = posterior.theta_rad**2, posterior.slow_nT**2
     W = white * float((posterior.sigma_nT**2).mean()) * white_factor
     W = W + float((slow2 * brief[1]).mean()) * white_factor * np.eye(3)

@@ -54,7 +54,8 @@ def assemble_scalar(
     for and absent, NoAnswer when no row is complete.
     """
     telemetry = joined(records)
-    columns = _columns(telemetry, with_dipole, drivers or {})
+    dipole = dipole_for_T(telemetry) if with_dipole else np.zeros((0, 0))
+    columns = {f"dipole_{axis}_Am2": dipole[:, i] for i, axis in enumerate("xyz") if with_dipole} | dict(drivers or {})
     needs = {"no reading": telemetry.has_reading, "no position": telemetry.has_position}
     for name, values in columns.items():
         needs[f"no {name}"] = np.isfinite(values)
@@ -70,11 +71,6 @@ def assemble_scalar(
         left_out=left_out,
         radian_s=radian_s(used),
     )
-
-
-def _columns(telemetry: Telemetry, with_dipole: bool, drivers: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
-    dipole = dipole_for_T(telemetry) if with_dipole else np.zeros((0, 0))
-    return {f"dipole_{axis}_Am2": dipole[:, i] for i, axis in enumerate("xyz") if with_dipole} | dict(drivers)
 
 
 def predict_scalar(

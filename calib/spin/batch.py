@@ -120,7 +120,7 @@ def solve_batch(
     while done < rounds and damping < 1e8 and not converged:
         done += 1
         step = solve_scaled(now.matrix, now.vector, damping, rcond=1e-15)
-        tried = _moved(state, step)
+        tried = State(state.motion.moved(step[:7]), state.G + step[10:].reshape(3, 3), state.o_nT + step[7:10])
         then = normal_equations(tried, rows, noise, prior)
         small = float(step @ now.matrix @ step) < _SETTLED * max(1.0, now.field_chi2)
         gained = now.cost - then.cost
@@ -132,10 +132,6 @@ def solve_batch(
             converged = small and damping < 1e-3
             damping = max(100.0 * damping, 1e-10)
     return Batch(state, covariance_of_normal(now), now, converged, done)
-
-
-def _moved(state: State, step: FloatArray) -> State:
-    return State(state.motion.moved(step[:7]), state.G + step[10:].reshape(3, 3), state.o_nT + step[7:10])
 
 
 def covariance_of_normal(now: Normal) -> FloatArray:

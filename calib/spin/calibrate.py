@@ -7,6 +7,8 @@
 
 Both need body z to be the axis of symmetry, and a record without thrust. The azimuth of the body is a convention of
 such a body: the sun sensor defines it.
+
+Outliers of a spinner in |B|: bit errors mislead a blind start, and no attitude is needed to see them.
 """
 
 from __future__ import annotations
@@ -26,8 +28,10 @@ from fluxtwin.calib.common.noise import ReadingNoise, scalar_noise
 from fluxtwin.calib.common.observability import field_variation
 from fluxtwin.calib.common.records import LARGE_S, Calibration
 from fluxtwin.calib.common.residuals import residual_statistics
+from fluxtwin.calib.common.robust import TUKEY_AT, find_outliers, robust_distance, robust_weights
 from fluxtwin.calib.linear.calibrate import fit_design
 from fluxtwin.calib.linear.method import LinearOptions
+from fluxtwin.calib.scalar.maximum_likelihood import solve
 from fluxtwin.calib.scalar.model import ScalarData, pack, residual
 from fluxtwin.calib.scalar.twostep import twostep
 from fluxtwin.calib.scalar.words import errors
@@ -43,16 +47,17 @@ from fluxtwin.calib.spin.batch import (
 from fluxtwin.calib.spin.filter import Filtered, FilterSettings, spin_filter
 from fluxtwin.calib.spin.method import SpinOptions as SpinOptions
 from fluxtwin.calib.spin.motion import SpinMotion, skew
-from fluxtwin.calib.spin.outliers import LOOSE_NOISE, beyond, outlier_words, outlying_readings
 from fluxtwin.calib.spin.rows import SpinRows, assemble_spin
 from fluxtwin.calib.spin.sedlak import OF_SIGMA, Iterated, at, free_motion, iterate
 from fluxtwin.calib.spin.start import SpinStart, blind_start
 from fluxtwin.sim.base.errors import NoAnswer
 from fluxtwin.sim.base.types import FloatArray
-from fluxtwin.sim.earth import frames
+from fluxtwin.sim.earth import epoch, frames
 from fluxtwin.sim.earth.field import FieldModel
 from fluxtwin.sim.telemetry.record import Telemetry
 
+LOOSE_NOISE = 0.005
+"""In parts of the field: the least that is taken before any is found; as a weight it has no effect here."""
 GAUGE = (
     "the azimuth of the body's x axis: an axisymmetric body has none of its own. The sun sensor defines it (the gauge); a "
     "misalignment of the sun sensor about body Z goes into S as one of the magnetometer"
@@ -66,6 +71,41 @@ _REGRESSIONS = 60
 _LEAP = 4
 """Every so many passes a step goes to where the geometric series of the steps would end."""
 _CUTS = 5
+
+
+def outlying_readings(rows: SpinRows) -> np.ndarray:
+    """(N,) readings whose |B| is an outlier after a robust fit of b and S to |H|."""
+    H = np.linalg.norm(rows.H_N_nT, axis=1)
+    scale = float(np.sqrt((H**2).mean()))
+    data = ScalarData(rows.B_nT / scale, H / scale, np.zeros((len(H), 0)), LOOSE_NOISE**2 * np.eye(3), True)
+    p = np.zeros(data.size)
+
+    def refit(weights: FloatArray) -> FloatArray:
+        nonlocal p
+        p = solve(p, data, weights, adjusted=False).p
+        return residual(p, data)[:, None]
+
+    robust_weights(residual(p, data)[:, None], refit, "tukey")
+    return find_outliers(residual(p, data)[:, None])
+
+
+def beyond(residuals_nT: FloatArray) -> np.ndarray:
+    """(N,) residuals (N, 3) of more than six robust sigma, where Tukey's weight is zero."""
+    r = residuals_nT - np.median(residuals_nT, axis=0)
+    return robust_distance(r) > TUKEY_AT
+
+
+def outlier_words(rows: SpinRows, *, left_out: bool) -> str:
+    """How many outliers there are, and what to do; empty where there are none."""
+    outlying = np.flatnonzero(outlying_readings(rows))
+    if not outlying.size:
+        return ""
+    first = ", ".join(epoch.iso(rows.time[k], "ms") for k in outlying[:3])
+    return f"{outlying.size} of {len(rows)} readings are outliers in |B| (bit errors?), the first at {first}. " + (
+        "They were left out, and others that |B| does not show may remain: leave those readings empty"
+        if left_out
+        else "--robust tukey leaves them out"
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -124,22 +124,17 @@ def _read(path: Path, name: str, field: tuple[str, ...], flag: str | None = None
     table = opened(path, ("time_utc", *_POSITION, *_GEODETIC, *field, *((flag,) if flag else ())))
     time = increasing(parse_iso(table.text("time_utc"), table.where), table.where)
     r_E_km, geodetic, b_NEC_nT = (numbers(table, names) for names in (_POSITION, _GEODETIC, field))
-    _check_position(r_E_km, geodetic, table.where)
+    radius = np.linalg.norm(r_E_km, axis=1)
+    wanted = f"kilometres, {ORBIT_KM[0]:.0f} to {ORBIT_KM[1]:.0f} from the centre of the Earth"
+    outside = (radius < ORBIT_KM[0]) | (radius > ORBIT_KM[1])
+    none_wrong(outside, table.where, radius, "has a position of length {:.6g} km", wanted)
+    other_km = frames.from_geodetic(np.radians(geodetic[:, 0]), np.radians(geodetic[:, 1]), geodetic[:, 2])
+    apart = np.linalg.norm(other_km - r_E_km, axis=1)
+    wanted = "x, y, z_ecef_km at lat_geod_deg, lon_deg, alt_geod_km (WGS 84)"
+    none_wrong(apart > 1.0, table.where, apart, "has its two positions apart by {:.6g} km", wanted)
     size = np.linalg.norm(b_NEC_nT, axis=1)
     wrong = (size < _WEAKEST_nT) | (size > _STRONGEST_nT)
     none_wrong(wrong, table.where, size, "has |B| = {:.6g} nT", f"{_WEAKEST_nT:.0f} to {_STRONGEST_nT:.0f} nT")
     good = table.numbers([flag])[flag] == 0 if flag else np.ones(time.size, dtype=bool)
     source = f"{Path(path).name}, SHA-256 {table.sha256}"
     return Track(name, source, time, r_E_km, geodetic[:, 0], geodetic[:, 1], b_NEC_nT, good)
-
-
-def _check_position(r_E_km: FloatArray, geodetic: FloatArray, where: str) -> None:
-    """Radius in kilometres, and the Cartesian position that of the geodetic columns to 1 km."""
-    radius = np.linalg.norm(r_E_km, axis=1)
-    wanted = f"kilometres, {ORBIT_KM[0]:.0f} to {ORBIT_KM[1]:.0f} from the centre of the Earth"
-    outside = (radius < ORBIT_KM[0]) | (radius > ORBIT_KM[1])
-    none_wrong(outside, where, radius, "has a position of length {:.6g} km", wanted)
-    other_km = frames.from_geodetic(np.radians(geodetic[:, 0]), np.radians(geodetic[:, 1]), geodetic[:, 2])
-    apart = np.linalg.norm(other_km - r_E_km, axis=1)
-    wanted = "x, y, z_ecef_km at lat_geod_deg, lon_deg, alt_geod_km (WGS 84)"
-    none_wrong(apart > 1.0, where, apart, "has its two positions apart by {:.6g} km", wanted)

@@ -57,13 +57,6 @@ def carried_on(model: FieldModel) -> FieldModel:
     return replace(model, title=title, knots=knots, polynomial_nT=polynomial)
 
 
-def dipole_radius_km(size_nT: FloatArray, latitude_rad: float, radius_km: float) -> FloatArray:
-    """(N,) distance from the centre at which the dipole has that size [nT], at a latitude."""
-    at_reference = _DIPOLE_NT * float(np.sqrt(1.0 + 3.0 * np.sin(latitude_rad) ** 2))
-    distance: FloatArray = radius_km * np.cbrt(at_reference / size_nT)
-    return distance
-
-
 def _later(model: FieldModel) -> np.ndarray:
     return np.asarray(model.knots + (model.knots[-1] - model.knots[0]))
 
@@ -155,7 +148,8 @@ def of_aircraft(given: Compensation, rate_Hz: float) -> Telemetry:
     """
     compensated_nT = given.raw_nT - given.taken_nT
     time = _START + (np.arange(compensated_nT.size) * 1e9 / rate_Hz).astype("timedelta64[ns]")
-    radius_km = dipole_radius_km(compensated_nT, _LATITUDE_RAD, FIELD_RADIUS_KM)
+    at_reference = _DIPOLE_NT * float(np.sqrt(1.0 + 3.0 * np.sin(_LATITUDE_RAD) ** 2))
+    radius_km: FloatArray = FIELD_RADIUS_KM * np.cbrt(at_reference / compensated_nT)
     latitude, longitude = np.full(radius_km.shape, _LATITUDE_RAD), np.zeros(radius_km.shape)
     r_N_km = frames.rotation_EN(time).inv().apply(frames.from_geocentric(latitude, longitude, radius_km))
     direction = given.fluxgate_B_nT / np.linalg.norm(given.fluxgate_B_nT, axis=1)[:, None]

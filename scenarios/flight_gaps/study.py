@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -16,8 +15,7 @@ from fluxtwin.gap.records.diagnosis import Diagnosis
 from fluxtwin.gap.report.words import at_the_end
 from fluxtwin.scenarios.flight_gaps.compute import STORM_NT, Answer, Outcome, compute, names_of
 from fluxtwin.scenarios.flight_gaps.least_squares import Share
-from fluxtwin.scenarios.page import Cell, StudyResult
-from fluxtwin.scenarios.page_markdown import as_markdown
+from fluxtwin.scenarios.page import Cell, StudyResult, as_markdown
 from fluxtwin.scenarios.recorded_files import Settings, run_on_files
 from fluxtwin.scenarios.words import Words
 from fluxtwin.sim.base.files import write_text
@@ -120,6 +118,12 @@ def page_values(outcome: Outcome) -> dict[str, Any]:
     change = np.diff(f16.left_nT, axis=0)[np.abs(f16.latitude_deg[1:]) > 65.0]
     steps = np.sqrt(np.nanmean(np.square(change), axis=0)) if np.isfinite(change).any() else []
     answers = outcome.part("swarm")
+    found = [answer.found for answer in answers]
+    places = enumerate(("first of the ranking", "second", "third"))
+    ranked: list[list[Cell]] = [[name, *(one.ranking[place].name for one in found)] for place, name in places]
+    # Published and found eddy terms of the aircraft, in microseconds.
+    named = [one for one in outcome.answer("aircraft-eddy_current").found.effects if one.name == "eddy_current"]
+    published = -1e6 * outcome.coefficients.symmetric_eddy_s
     return {
         **counts(outcome),
         "o": outcome,
@@ -143,9 +147,22 @@ def page_values(outcome: Outcome) -> dict[str, Any]:
         "spurious": [a.case.title for a in answers if "bit_errors" in names_of(a.found)],
         "steps": ", ".join(f"{value:.0f}" for value in steps) or "nothing that is known",
         "c": outcome.coefficients,
-        "eddy_us": _eddy_us(outcome),
+        "eddy_us": {
+            "published": {name: float(published[place]) for name, place in _EDDY.items()},
+            "found": {name: 1e6 * value.value for one in named for name, value in one.parameters.items()},
+        },
         "magsat": _magsat_rows(outcome),
-        "swarm": _swarm_rows([answer.found for answer in answers]),
+        "swarm": [
+            ["verdict", *(one.verdict for one in found)],
+            ["stage", *(one.where.stage for one in found)],
+            ["probability of that stage", *(round(_stage_share(one), 2) for one in found)],
+            ["frame", *(one.where.frame for one in found)],
+            ["residual structure", *map(_unnamed, found)],
+            *ranked,
+            ["rms before [nT]", *(round(one.gap.before_nT, 1) for one in found)],
+            ["expected [nT]", *(round(one.gap.floor_nT, 1) for one in found)],
+            ["rows cut", *(one.samples["cut"] for one in found)],
+        ],
     }
 
 
@@ -157,34 +174,8 @@ def _magsat_rows(outcome: Outcome) -> list[list[Cell]]:
     return rows
 
 
-def _swarm_rows(found: Sequence[Diagnosis]) -> list[list[Cell]]:
-    places = enumerate(("first of the ranking", "second", "third"))
-    ranked: list[list[Cell]] = [[name, *(one.ranking[place].name for one in found)] for place, name in places]
-    return [
-        ["verdict", *(one.verdict for one in found)],
-        ["stage", *(one.where.stage for one in found)],
-        ["probability of that stage", *(round(_stage_share(one), 2) for one in found)],
-        ["frame", *(one.where.frame for one in found)],
-        ["residual structure", *map(_unnamed, found)],
-        *ranked,
-        ["rms before [nT]", *(round(one.gap.before_nT, 1) for one in found)],
-        ["expected [nT]", *(round(one.gap.floor_nT, 1) for one in found)],
-        ["rows cut", *(one.samples["cut"] for one in found)],
-    ]
-
-
 def _stage_share(found: Diagnosis) -> float:
     return found.where.probabilities["stage"].get(found.where.stage or "", 0.0)
-
-
-def _eddy_us(outcome: Outcome) -> dict[str, dict[str, float]]:
-    """Published and found eddy terms of the aircraft, in microseconds."""
-    named = [one for one in outcome.answer("aircraft-eddy_current").found.effects if one.name == "eddy_current"]
-    published = -1e6 * outcome.coefficients.symmetric_eddy_s
-    return {
-        "published": {name: float(published[place]) for name, place in _EDDY.items()},
-        "found": {name: 1e6 * value.value for one in named for name, value in one.parameters.items()},
-    }
 
 
 def _before_comma(text: str) -> str:

@@ -34,7 +34,7 @@ from fluxtwin.sim.earth.constants import NT_PER_MG
 from fluxtwin.sim.earth.field import FieldModel, field_N_nT
 from fluxtwin.sim.earth.stations import in_view
 from fluxtwin.sim.run.scenario_stations import stations_of
-from fluxtwin.sim.run.world import World, build_world
+from fluxtwin.sim.run.world import build_world
 from fluxtwin.sim.scenario.scenario import Scenario
 from fluxtwin.sim.spacecraft.torquers import coupling_nT_per_Am2
 
@@ -184,7 +184,11 @@ def run_errors(config: Scenario, ground: FieldModel, progress: Progress, runs: i
             rows = choose_rows(flight, "AB")
             squares[case].append(error_square_mG2(flight, flight.telemetry.select(rows), ground))
         fits.append(rms_mG(fit_rows(flight, rows, ground, "white")))
-        turned.append(_reference_error_square(flight, rows))
+        assert flight.telemetry.q_NB is not None
+        R_NO = flight.world.R_ON.inv()[rows]
+        reported = frames.yaw_roll_pitch(frames.rotation_from_q(np.array(flight.telemetry.q_NB)[rows]) * R_NO)
+        true = (flight.truth.yaw_rad, flight.truth.roll_rad, flight.truth.pitch_rad)
+        turned.append(np.array([np.mean((seen - real[rows]) ** 2) for seen, real in zip(reported, true, strict=True)]))
     assert config.torquers is not None
     coupling = np.linalg.norm(coupling_nT_per_Am2(np.array(config.torquers.positions_m)), axis=0).max()
     axial_mG = coupling * config.torquers.Am2 / NT_PER_MG
@@ -215,15 +219,6 @@ def paper_rule(config: Scenario) -> dict[str, tuple[float, float]]:
     return rule | {"all": (float(total[0]), float(total[1]))}
 
 
-def _reference_error_square(flight: Flight, rows: np.ndarray) -> FloatArray:
-    """(3,) mean square error of the reference attitude in yaw, roll and pitch [rad2]."""
-    assert flight.telemetry.q_NB is not None
-    R_NO = flight.world.R_ON.inv()[rows]
-    reported = frames.yaw_roll_pitch(frames.rotation_from_q(np.array(flight.telemetry.q_NB)[rows]) * R_NO)
-    true = (flight.truth.yaw_rad, flight.truth.roll_rad, flight.truth.pitch_rad)
-    return np.array([np.mean((seen - real[rows]) ** 2) for seen, real in zip(reported, true, strict=True)])
-
-
 def _field_model(config: Scenario, ground: FieldModel) -> dict[str, Any]:
     """The error of the ground's model along three days of the orbit, at 30 s."""
     assert config.schedule is not None
@@ -232,7 +227,10 @@ def _field_model(config: Scenario, ground: FieldModel) -> dict[str, Any]:
     world = build_world(config.updated({"schedule.in_view_of_stations": None, "schedule.segments": [whole]}))
     model = field_N_nT(ground, world.time, world.r_N_km)
     strength_nT, latitude = np.linalg.norm(world.field_N_nT, axis=1), np.abs(latitude_deg(world))
-    angle, seen_rad = (_direction_error(one, ground) for one in (world, build_world(config)))
+    angle, seen_rad = (
+        frames.angle_between(field_N_nT(ground, one.time, one.r_N_km), one.field_N_nT)
+        for one in (world, build_world(config))
+    )
     ends = [strength_nT[rows].mean() for rows in (latitude < NEAR_EQUATOR_DEG, latitude > NEAR_POLES_DEG)]
     return {
         # rms error of IGRF 1975 in field strength, and per axis.
@@ -243,8 +241,3 @@ def _field_model(config: Scenario, ground: FieldModel) -> dict[str, Any]:
         # rms, three times that, largest of the three days, and largest over the passes of Table 5's stations.
         "field_direction_deg": np.degrees([rms(angle), 3.0 * rms(angle), angle.max(), seen_rad.max()]),
     }
-
-
-def _direction_error(world: World, ground: FieldModel) -> FloatArray:
-    """(N,) [rad] of the ground's model along the orbit."""
-    return frames.angle_between(field_N_nT(ground, world.time, world.r_N_km), world.field_N_nT)

@@ -86,7 +86,15 @@ def run_gallery(
     # The coils at random and at full dipole, which is not what the law commands: under it the coupling is still named,
     # but with sigmas of tens of nT/(A m2) along x and z, and later passes hardly gain by it.
     config = config if by_law else prescribed(config)
-    segments, end = _flown_and_kept(config)
+    # The study's record and the days after it; the first ends one step after its last stamp.
+    assert config.schedule is not None
+    first = config.schedule.segments[0]
+    assert first.duration_min is not None
+    end = epoch.add_seconds(epoch.parse_time(first.start_utc), 60.0 * first.duration_min + first.step_s)[0]
+    segments = [
+        {"start_utc": start, "duration_min": minutes, "step_s": first.step_s}
+        for start, minutes in ((first.start_utc, first.duration_min), (epoch.iso(end), _LATER_MIN))
+    ]
     plain = config.updated({"sun_sensor.1.misalignment_deg": None, "schedule.segments": segments})
     world, ground = build_world(plain), load_field(GROUND)
     chosen = [case for case in cases(config) if case.key in only]
@@ -137,19 +145,6 @@ def _answer(
         place_deg=np.degrees(np.stack(longitude_latitude, axis=1)),
         known=used.has_attitude,
     )
-
-
-def _flown_and_kept(config: Scenario) -> tuple[list[dict[str, Any]], np.datetime64]:
-    """The study's record and the days after it as segments of a schedule, and where the first ends: one step after its last
-    stamp."""
-    assert config.schedule is not None
-    first = config.schedule.segments[0]
-    assert first.duration_min is not None
-    end = epoch.add_seconds(epoch.parse_time(first.start_utc), 60.0 * first.duration_min + first.step_s)[0]
-    return [
-        {"start_utc": start, "duration_min": minutes, "step_s": first.step_s}
-        for start, minutes in ((first.start_utc, first.duration_min), (epoch.iso(end), _LATER_MIN))
-    ], end
 
 
 def _titled(progress: Progress, key: str, words: str, share: float) -> None:

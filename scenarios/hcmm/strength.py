@@ -161,7 +161,11 @@ def ask(passes: Sequence[Pass], evidence: Numbers, seed: int, orders: int = ORDE
             asked[name, corrected] = _answer(y, groups, overflight, rng, orders)
         whole = orders_of(overflight, rng, orders)
         asked["station against station", corrected] = _stations(y, stations, whole)
-    counted = _holm(np.array([one["p_value"] for one in asked.values()]))
+    p_values = np.array([one["p_value"] for one in asked.values()])
+    order = np.argsort(p_values)
+    steps = p_values[order] * np.arange(p_values.size, 0, -1)
+    counted = np.empty_like(p_values)
+    counted[order] = np.minimum(np.maximum.accumulate(steps), 1.0)
     return Numbers(
         stations=stations,
         night=night,
@@ -225,15 +229,6 @@ def _stations(y: FloatArray, station: np.ndarray, orders: np.ndarray) -> dict[st
     return {"passes": (len(sizes), y.size), "ratio": ratio, "p_value": p, "detectable": float("nan")}
 
 
-def _holm(p_values: FloatArray) -> FloatArray:
-    """p-values with their number counted."""
-    order = np.argsort(p_values)
-    steps = p_values[order] * np.arange(p_values.size, 0, -1)
-    counted = np.empty_like(p_values)
-    counted[order] = np.minimum(np.maximum.accumulate(steps), 1.0)
-    return counted
-
-
 def run_missing(
     config: Scenario,
     ground: FieldModel,
@@ -261,6 +256,10 @@ def run_missing(
         record = flown[0].telemetry.select(flown[0].telemetry.time >= first)
         asked = diagnosed(record, today, config, ("bias", "scale_misalignment")) if diagnose else None
         mean, spread = values.mean(axis=0), values.std(axis=0, ddof=1)
+        # By Student's t.
+        rounding = np.append(np.zeros(len(NUMBERS) - 1), _ROUNDING_MG)
+        away = np.abs(mean - printed) / np.hypot(spread * np.sqrt(1.0 + 1.0 / flights), rounding)
+        limit = student_t.ppf(1.0 - 0.5 * SURE / (len(NUMBERS) - 1), flights - 1)
         found.append(
             Numbers(
                 name=name,
@@ -269,20 +268,12 @@ def run_missing(
                 mean=mean,
                 spread=spread,
                 # Names of the printed numbers, the first left out, that one more flight would hardly reach.
-                excluded=_excluded(mean - printed, spread, flights),
+                excluded=[name for name, far in list(zip(NUMBERS, away > limit, strict=True))[1:] if far],
                 # Of the three days of Table 5 in one flight, the field known as it is today; None where it was not asked.
                 diagnosis=asked,
             )
         )
     return Numbers(printed=printed, hypotheses=tuple(found))
-
-
-def _excluded(off: FloatArray, spread: FloatArray, flights: int) -> list[str]:
-    """By Student's t."""
-    rounding = np.append(np.zeros(len(NUMBERS) - 1), _ROUNDING_MG)
-    away = np.abs(off) / np.hypot(spread * np.sqrt(1.0 + 1.0 / flights), rounding)
-    limit = student_t.ppf(1.0 - 0.5 * SURE / (len(NUMBERS) - 1), flights - 1)
-    return [name for name, far in list(zip(NUMBERS, away > limit, strict=True))[1:] if far]
 
 
 def _numbers(flight: Flight, ground: FieldModel, windows: PassWindows, evidence: Numbers) -> list[float]:

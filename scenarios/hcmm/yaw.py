@@ -85,21 +85,7 @@ def _dipole_nT(latitude_deg: float) -> FloatArray:
 def _station(config: Scenario, name: str) -> Numbers:
     """One row of Table 6, deg."""
     latitude = float(np.degrees(read_stations()[name].latitude_rad))
-    return Numbers(
-        station=name,
-        printed=mission.printed_value("yaw", "yaw_deg", station=name),
-        # Equation 11 in the papers' dipole, with the angle that gives their numbers and with the printed one.
-        dipole=equation_11(latitude, SIGMA_DEG),
-        dipole_printed_sigma=equation_11(latitude, PRINTED_SIGMA_DEG),
-        # In the field of 1978, rms of the sigmas of all passes near the station, northbound and southbound.
-        main_field=_in_main_field(config, name),
-        # Monte Carlo in the dipole: scatter of yaw for such errors.
-        scatter=_scatter(config, latitude),
-    )
-
-
-def _in_main_field(config: Scenario, name: str) -> float:
-    """Equation 11 where the ground track passes within _NEAR_DEG of the station, rms of the sigmas."""
+    # Equation 11 where the ground track passes within _NEAR_DEG of the station, rms of the sigmas.
     assert config.schedule is not None
     start = epoch.parse_time(config.schedule.segments[0].start_utc)
     time = epoch.add_seconds(start, np.arange(0.0, _DAYS * 86400.0, 10.0))
@@ -109,16 +95,21 @@ def _in_main_field(config: Scenario, name: str) -> float:
     near = np.flatnonzero(np.degrees(frames.angle_between(r_E_km, site)) < _NEAR_DEG)
     field_N = field_N_nT(load_field(config.field.truth), time[near], r_N_km[near])
     field_O = frames.rotation_ON(r_N_km[near], v_N_km_s[near]).apply(field_N)
-    return rms(np.degrees(yaw_sigma(field_O, SIGMA_B_MG * NT_PER_MG, np.radians(SIGMA_DEG))))
-
-
-def _scatter(config: Scenario, latitude_deg: float) -> float:
-    """Scatter of the full yaw solution in the dipole for normal errors of field, roll and pitch."""
-    rng = stream(config.seed, f"hcmm.table_6.{latitude_deg:.3f}")
-    field = np.repeat(_dipole_nT(latitude_deg), _DRAWS, axis=0)
+    rng = stream(config.seed, f"hcmm.table_6.{latitude:.3f}")
+    field = np.repeat(_dipole_nT(latitude), _DRAWS, axis=0)
     noisy = field + rng.normal(0.0, SIGMA_B_MG * NT_PER_MG, size=field.shape)
     roll, pitch = rng.normal(0.0, np.radians(SIGMA_DEG), size=(2, _DRAWS))
-    return float(np.degrees(np.std(yaw_full(noisy, field, roll, pitch))))
+    return Numbers(
+        station=name,
+        printed=mission.printed_value("yaw", "yaw_deg", station=name),
+        # Equation 11 in the papers' dipole, with the angle that gives their numbers and with the printed one.
+        dipole=equation_11(latitude, SIGMA_DEG),
+        dipole_printed_sigma=equation_11(latitude, PRINTED_SIGMA_DEG),
+        # In the field of 1978, rms of the sigmas of all passes near the station, northbound and southbound.
+        main_field=rms(np.degrees(yaw_sigma(field_O, SIGMA_B_MG * NT_PER_MG, np.radians(SIGMA_DEG)))),
+        # Monte Carlo in the dipole: scatter of yaw for such errors.
+        scatter=float(np.degrees(np.std(yaw_full(noisy, field, roll, pitch)))),
+    )
 
 
 def run_accuracy(
@@ -138,6 +129,9 @@ def run_accuracy(
     limits = {angle: np.radians(mission.quantity(f"{angle} wanted")) for angle in ("roll", "pitch", "yaw")}
     within = [np.abs(getattr(flight.truth, f"{angle}_rad")) <= limit for angle, limit in limits.items()]
     north, south = dipole_axis_E(truth, when), -dipole_axis_E(truth, when)
+    assert config.orbit is not None
+    degree_1_nT = truth.coefficients_nT(np.datetime64("1978-11-30", "ns"))[0, :3]
+    ratio = FIELD_RADIUS_KM / orbit_from(config.orbit).semi_major_axis_km
     return Numbers(
         # Residual in field strength with the LSB as the only error, the true S and b.
         lsb_scalar_mG=_lsb_scalar(config),
@@ -150,7 +144,7 @@ def run_accuracy(
         sun_error=sun_error,
         nadir_error=nadir_error,
         # Equatorial field of the dipole part of the field of 1978 at HCMM's altitude.
-        dipole_equator_mG=_dipole_equator(config, truth),
+        dipole_equator_mG=float(np.linalg.norm(degree_1_nT) * ratio**3 / NT_PER_MG),
         # Arc from Orroral to the southern, from Fairbanks to the northern pole of that dipole; the same to the points
         # where the field is vertical at the ground.
         dipole_pole_deg=_arcs(south, north),
@@ -190,13 +184,6 @@ def _yaw_error_deg(flight: Flight, calibration: Calibration, model_N_nT: FloatAr
     field_B, field_O = calibration.apply(flight.telemetry.mag_B_nT), flight.world.R_ON.apply(model_N_nT)
     found = yaw_full(field_B, field_O, flight.truth.roll_rad, flight.truth.pitch_rad)
     return np.abs(wrapped_deg(found - flight.truth.yaw_rad))
-
-
-def _dipole_equator(config: Scenario, truth: FieldModel) -> float:
-    assert config.orbit is not None
-    degree_1_nT = truth.coefficients_nT(np.datetime64("1978-11-30", "ns"))[0, :3]
-    ratio = FIELD_RADIUS_KM / orbit_from(config.orbit).semi_major_axis_km
-    return float(np.linalg.norm(degree_1_nT) * ratio**3 / NT_PER_MG)
 
 
 def _dip_pole(truth: FieldModel, when: np.datetime64, start: FloatArray) -> FloatArray:

@@ -199,9 +199,14 @@ class _Problem:
 
     def _of_windows(self, sky: Sky, x: FloatArray) -> FloatArray:
         """(P, 6)."""
-        start, end = self._windows(x)
+        first = self.free + 1
+        start, end = x[first : first + self.count], x[first + self.count :]
         rise, fall = rise_and_set_min(self.grid, sky)
-        low, high = self._range(sky, start, end)
+        minutes, angle = self.grid.minutes, sky.sun_nadir_deg
+        ends = np.stack([_interpolate(minutes, angle, start), _interpolate(minutes, angle, end)], axis=1)
+        inside = (minutes[None, :] > start[:, None]) & (minutes[None, :] < end[:, None])
+        low = np.minimum(np.where(inside, angle, np.inf).min(axis=1), ends.min(axis=1))
+        high = np.maximum(np.where(inside, angle, -np.inf).max(axis=1), ends.max(axis=1))
         return np.stack(
             [
                 rise / _RISE_MIN,
@@ -213,18 +218,6 @@ class _Problem:
             ],
             axis=1,
         )
-
-    def _windows(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        first = self.free + 1
-        return x[first : first + self.count], x[first + self.count :]
-
-    def _range(self, sky: Sky, start: FloatArray, end: FloatArray) -> tuple[FloatArray, FloatArray]:
-        minutes, angle = self.grid.minutes, sky.sun_nadir_deg
-        ends = np.stack([_interpolate(minutes, angle, start), _interpolate(minutes, angle, end)], axis=1)
-        inside = (minutes[None, :] > start[:, None]) & (minutes[None, :] < end[:, None])
-        low = np.minimum(np.where(inside, angle, np.inf).min(axis=1), ends.min(axis=1))
-        high = np.maximum(np.where(inside, angle, -np.inf).max(axis=1), ends.max(axis=1))
-        return low, high
 
     def jacobian(self, x: FloatArray) -> FloatArray:
         """(6 P, K + 1 + 2 P): elements by central differences, each pass's window by its own."""

@@ -86,11 +86,11 @@ def _pass(row: dict[str, str]) -> Pass:
         station=row["station"],
         dawn=row["dawn"] == "1",
         eps_M_mG=float(row["eps_M_mG"]),
-        sun_nadir=_known(_range(row, "se")),
-        sun_nadir_read=_known(_range(row, "se", "_read")),
-        sun_field=_range(row, "sm"),
-        sun_field_read=_range(row, "sm", "_read"),
-        nadir_field_read=_known(_range(row, "em", "_read")),
+        sun_nadir=_range(row, "se"),
+        sun_nadir_read=_range(row, "se", "_read"),
+        sun_field=_range(row, "sm") if row["sm_lo"] else None,
+        sun_field_read=_range(row, "sm", "_read") if row["sm_lo_read"] else None,
+        nadir_field_read=_range(row, "em", "_read"),
         delta_sun_field_deg=_number(row["dSM"]),
         delta_nadir_field_deg=float(row["dEM_read"]),
         delta_sun_nadir_deg=_number(row["dSE"]),
@@ -98,15 +98,8 @@ def _pass(row: dict[str, str]) -> Pass:
     )
 
 
-def _range(row: dict[str, str], name: str, kind: str = "") -> Range | None:
-    low, high = _number(row[f"{name}_lo{kind}"]), _number(row[f"{name}_hi{kind}"])
-    return None if low is None or high is None else (low, high)
-
-
-def _known(found: Range | None) -> Range:
-    if found is None:
-        raise ValueError("a row of the packaged table lacks an angle")
-    return found
+def _range(row: dict[str, str], name: str, kind: str = "") -> Range:
+    return float(row[f"{name}_lo{kind}"]), float(row[f"{name}_hi{kind}"])
 
 
 def _number(text: str) -> float | None:

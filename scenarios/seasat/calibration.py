@@ -184,9 +184,8 @@ def run_errors(config: Scenario, ground: FieldModel, progress: Progress, runs: i
     printed = mission.printed_value("errors", "rms_mG", source="observed rms")
     assert config.magnetometer.unknown is not None
     unknown, residual = config.magnetometer.unknown.nT / NT_PER_MG, fit_all
-    for _ in range(
-        2
-    ):  # the fit takes up part of a slow unknown; what is left grows in proportion, so two scalings suffice
+    # The fit takes up part of a slow unknown; what is left grows in proportion, so two scalings suffice.
+    for _ in range(2):
         unknown *= float(np.sqrt((printed**2 - fit_known**2) / (residual**2 - fit_known**2)))
         residual = fit_rms(config.updated({"magnetometer.unknown.rms_mG": unknown}))
     alone = mission.fly(mission.only(config, "field"), worlds[True])

@@ -71,7 +71,19 @@ def scan_heads(raan_deg: float) -> Numbers:
     Misfit: how far claims 10-11, 28 and 32 are missed, as shares of the orbit, summed with equal weight.
     """
     days = np.array([*DATA_DAYS, *LATE_DAYS[::3], CHECK_DAY], dtype=float)
-    sun_O, lit, latitude = _sun_in_orbit(raan_deg, days)
+    # Sun direction in O (D, U, 3), sunlit (D, U) and latitude [rad] (D, U) all around each day's orbit.
+    i, node = np.radians(INCLINATION_DEG), np.radians(_node_on(raan_deg, days))[:, None]
+    cu, su = np.cos(_U)[None, :], np.sin(_U)[None, :]
+    cn, sn = np.cos(node), np.sin(node)
+    up = np.stack([cu * cn - su * np.cos(i) * sn, cu * sn + su * np.cos(i) * cn, su * np.sin(i) + 0 * cn], axis=-1)
+    normal = np.broadcast_to(_normal(raan_deg, days)[:, None, :], up.shape)
+    z, y = -up, -normal
+    x = np.cross(y, z)
+    sun_T = _sun_of_date(days)
+    sun_O = np.stack([np.einsum("duk,dk->du", axis, sun_T) for axis in (x, y, z)], axis=-1)
+    horizon = -np.sqrt(1.0 - (EARTH_RADIUS_KM / SEMI_MAJOR_AXIS_KM) ** 2)
+    lit = -sun_O[..., 2] > horizon
+    latitude = np.arcsin(up[..., 2])
     found = [
         _judge(tuple(float((first + k * spacing) % 360.0) for k in range(4)), elevation, half, sun_O, lit, latitude)
         for elevation, half, spacing in product(_ELEVATIONS, _HALF_FOVS, _SPACINGS)
@@ -133,22 +145,6 @@ def _in_view(sun_O: FloatArray, azimuth_deg: float, elevation_deg: float, half_d
         (ahead > 0) & (np.abs(sun_O @ across) <= limit * ahead) & (np.abs(sun_O @ along) <= limit * ahead)
     )
     return inside
-
-
-def _sun_in_orbit(raan_deg: float, days: FloatArray) -> tuple[FloatArray, BoolArray, FloatArray]:
-    """Sun direction in O (D, U, 3), sunlit (D, U) and latitude [rad] (D, U) all around each day's orbit."""
-    i, node = np.radians(INCLINATION_DEG), np.radians(_node_on(raan_deg, days))[:, None]
-    cu, su = np.cos(_U)[None, :], np.sin(_U)[None, :]
-    cn, sn = np.cos(node), np.sin(node)
-    up = np.stack([cu * cn - su * np.cos(i) * sn, cu * sn + su * np.cos(i) * cn, su * np.sin(i) + 0 * cn], axis=-1)
-    normal = np.broadcast_to(_normal(raan_deg, days)[:, None, :], up.shape)
-    z, y = -up, -normal
-    x = np.cross(y, z)
-    sun_T = _sun_of_date(days)
-    sun_O = np.stack([np.einsum("duk,dk->du", axis, sun_T) for axis in (x, y, z)], axis=-1)
-    horizon = -np.sqrt(1.0 - (EARTH_RADIUS_KM / SEMI_MAJOR_AXIS_KM) ** 2)
-    lit = -sun_O[..., 2] > horizon
-    return sun_O, lit, np.arcsin(up[..., 2])
 
 
 def _dark_share(normal_T: FloatArray, sun_T: FloatArray) -> FloatArray:

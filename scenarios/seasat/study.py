@@ -44,9 +44,14 @@ def run(
     attitude: how the vehicle moves, one of ATTITUDES.
     """
     results = compute(progress, attitude=attitude)
-    written = write_flight(
-        out, mission.scenario_text(attitude), results.flight.telemetry, _with_monte_carlo(results.calibration)
-    )
+    # The calibration of all days with the covariance of the Monte Carlo, which holds errors that last an orbit.
+    found: Calibration = results.calibration.fits["all"].calibration
+    scale = np.repeat([1.0, NT_PER_MG], [9, 3])
+    estimates = results.calibration.many.of("all")
+    covariance = np.cov(estimates[np.isfinite(estimates).all(axis=1)].T) * np.outer(scale, scale)
+    method = f"{found.method}; covariance from a Monte Carlo of {len(estimates)} runs"
+    known = dataclasses.replace(found, covariance=covariance, covariance_kind="blocks", method=method)
+    written = write_flight(out, mission.scenario_text(attitude), results.flight.telemetry, known)
     return dataclasses.replace(present(results), written=written)
 
 
@@ -60,16 +65,6 @@ def present(results: Numbers) -> StudyResult:
         made={"motion": motion_table(results.motion, said.say("pointing", r=results))},
         r=results,
     )
-
-
-def _with_monte_carlo(study: Numbers) -> Calibration:
-    """The calibration of all days with the covariance of the Monte Carlo, which holds errors that last an orbit."""
-    found: Calibration = study.fits["all"].calibration
-    scale = np.repeat([1.0, NT_PER_MG], [9, 3])
-    estimates = study.many.of("all")
-    covariance = np.cov(estimates[np.isfinite(estimates).all(axis=1)].T) * np.outer(scale, scale)
-    method = f"{found.method}; covariance from a Monte Carlo of {len(estimates)} runs"
-    return dataclasses.replace(found, covariance=covariance, covariance_kind="blocks", method=method)
 
 
 def compute(progress: Progress = silent, *, runs: int | None = None, attitude: str = ATTITUDES[0]) -> Numbers:
@@ -108,26 +103,21 @@ def words() -> Words:
     """The sections of `words.md`."""
     return Words(
         mission.PRINTED.package,
-        calibration_summary=calibration_summary,
+        known=(calibration_summary, geometry, mission.quantity, pulls, rms_mG, vector),
         data_sets=list(DATA_SETS),
         distance_from=lambda value, low, high: np.maximum(np.maximum(low - value, value - high), 0.0),
-        geometry=geometry,
         names=NAMES,
         near_node_deg=NEAR_NODE_DEG,
         period_min=_period_min,
         print_of=_print_of,
         printed_S=_printed_S,
         printed=printed_value,
-        pulls=pulls,
-        quantity=mission.quantity,
-        rms_mG=rms_mG,
         samples_by_day=lambda study: tuple(len(study.fits[day].time) for day in ("205", "219", "225", "227")),
         seeds=SEEDS,
         size=mission.PRINTED.size,
         step_s=STEP_S,
         sums_of=lambda days: {sum(chosen) for count in range(1, 5) for chosen in combinations(days, count)},
         triple=lambda *quantities: np.array([printed_value("yaw", "value", quantity=name) for name in quantities]),
-        vector=vector,
     )
 
 

@@ -186,7 +186,14 @@ def run_accuracy(config: Scenario, ground: FieldModel, residual_mG: float, progr
     progress("quantisation and the equations", 0.6)
     lsb = config.magnetometer.step_nT
     horizontal = np.sum(crossing_O[:, :2] ** 2, axis=1)
-    lsb_deg = _lsb_error_deg(config)
+    # (N,) yaw error by quantisation alone, NaN where it is 5 deg or more. Known S and b, the true field as model: what is
+    # left is the rounding.
+    flight = mission.fly(mission.only(fine_scenario(config), "lsb"))
+    field_O = flight.world.R_ON.apply(flight.world.field_N_nT)
+    corrected = Calibration(flight.truth.S, flight.truth.b_nT).apply(flight.telemetry.mag_B_nT)
+    solved = yaw_full(corrected, field_O, flight.truth.roll_rad, flight.truth.pitch_rad)
+    error = wrapped_deg(solved - flight.truth.yaw_rad)
+    lsb_deg = np.where(np.abs(error) < 5.0, error, np.nan)
     return Numbers(
         # Mean and range over equator crossings at the printed residual, and at this run's.
         sigma_equator_deg=at_equator.mean(),
@@ -238,19 +245,6 @@ def _worst_values(config: Scenario, model: FieldModel, residual_mG: float) -> di
         first = first or {"latitude_deg": np.degrees(latitude[:minutes]), "sigma_deg": sigma[0]}
         largest.append(sigma.max(axis=1))
     return {**first, "worst_orbit_deg": np.concatenate(largest[:3]), "worst_base_deg": np.max(largest, axis=0)}
-
-
-def _lsb_error_deg(config: Scenario) -> FloatArray:
-    """(N,) yaw error by quantisation alone, NaN where it is 5 deg or more.
-
-    Known S and b, the true field as model: what is left is the rounding.
-    """
-    flight = mission.fly(mission.only(fine_scenario(config), "lsb"))
-    field_O = flight.world.R_ON.apply(flight.world.field_N_nT)
-    corrected = Calibration(flight.truth.S, flight.truth.b_nT).apply(flight.telemetry.mag_B_nT)
-    solved = yaw_full(corrected, field_O, flight.truth.roll_rad, flight.truth.pitch_rad)
-    error = wrapped_deg(solved - flight.truth.yaw_rad)
-    return np.where(np.abs(error) < 5.0, error, np.nan)
 
 
 def _seconds_per_step(config: Scenario, model: FieldModel) -> tuple[float, float, float]:

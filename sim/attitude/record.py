@@ -145,7 +145,16 @@ def slews(time: TimeArray, waypoints: Sequence[Waypoint]) -> Attitude:
     now = clock.seconds_since(time, origin)
     arrive = np.array([clock.seconds_since(w.time, origin)[0] for w in waypoints])
     depart = arrive + np.array([w.hold_s for w in waypoints])
-    _check_waypoints(arrive, depart)
+    if (depart < arrive).any():
+        raise BadInput("a hold lasts less than zero seconds", where="slews", wanted="hold_s >= 0")
+    late = np.flatnonzero(arrive[1:] <= depart[:-1])
+    if late.size:
+        raise BadInput(
+            f"waypoint {late[0] + 2} is due {arrive[late[0] + 1]:g} s after the first, but the hold of the"
+            f" one before it ends at {depart[late[0]]:g} s",
+            where="slews",
+            wanted="waypoints in order of time, each with time to slew to it",
+        )
     reached = Rotation.concatenate([w.attitude for w in waypoints])
     # The axis has the same components before and after the turn, hence in B throughout.
     turn_rad = np.zeros((len(waypoints), 3))
@@ -243,16 +252,3 @@ def _shortest_turn(start: FloatArray, end: FloatArray) -> Rotation:
     if sine < 1e-12:  # parallel, or opposite: then any axis across serves
         axis, sine = np.cross(start, np.eye(3)[int(np.argmin(np.abs(start)))]), 0.0
     return Rotation.from_rotvec(np.arctan2(sine, cosine) * axis / np.linalg.norm(axis))
-
-
-def _check_waypoints(arrive: FloatArray, depart: FloatArray) -> None:
-    if (depart < arrive).any():
-        raise BadInput("a hold lasts less than zero seconds", where="slews", wanted="hold_s >= 0")
-    late = np.flatnonzero(arrive[1:] <= depart[:-1])
-    if late.size:
-        raise BadInput(
-            f"waypoint {late[0] + 2} is due {arrive[late[0] + 1]:g} s after the first, but the hold of the"
-            f" one before it ends at {depart[late[0]]:g} s",
-            where="slews",
-            wanted="waypoints in order of time, each with time to slew to it",
-        )

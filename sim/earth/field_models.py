@@ -197,20 +197,16 @@ def read_chaos(path: Path) -> FieldModel:
         raise
     except Exception as error:  # a foreign file may raise anything in the readers
         raise BadInput(f"cannot be read ({error})", where=str(path), wanted="a CHAOS field model") from None
-    _check(path, knots, polynomial, static)
-    core, whole = degree_of(polynomial.shape[2]), degree_of(static.size)
-    crust = f"static crust to degree {whole}" if whole > core else "no crust"
-    title = f"{path.stem}: core to degree {core}, {crust}; no external field"
-    return FieldModel(f"chaos:{path}", title, whole, knots, polynomial, static)
-
-
-def _check(path: Path, knots: TimeArray, polynomial: FloatArray, static: FloatArray) -> None:
     if not (np.isfinite(polynomial).all() and np.isfinite(static).all()):
         raise BadInput("a coefficient is not finite", where=str(path), wanted="numbers in nT")
     if knots.size < 2 or not (np.diff(knots) > np.timedelta64(0, "ns")).all():
         raise BadInput("the knots do not increase", where=str(path), wanted="increasing epochs")
     if polynomial.shape[0] != knots.size - 1 or static.size < polynomial.shape[2]:
         raise BadInput("knots and coefficients do not fit together", where=str(path))
+    core, whole = degree_of(polynomial.shape[2]), degree_of(static.size)
+    crust = f"static crust to degree {whole}" if whole > core else "no crust"
+    title = f"{path.stem}: core to degree {core}, {crust}; no external field"
+    return FieldModel(f"chaos:{path}", title, whole, knots, polynomial, static)
 
 
 def _read_mat(path: Path) -> tuple[TimeArray, FloatArray, FloatArray]:

@@ -85,20 +85,16 @@ def temperature_K(setting: Setting, time_constant_s: float) -> FloatArray:
     if time_constant_s not in setting.lags_K:  # a fit asks for the same one thousands of times
         while len(setting.lags_K) >= _REMEMBERED:
             del setting.lags_K[next(iter(setting.lags_K))]
-        setting.lags_K[time_constant_s] = _lag_K(setting, time_constant_s)
+        goal = STANDARD_SWING_K * lit(setting)
+        seconds, period_s = setting.seconds, orbital_period_s(setting)
+        start = float(goal.mean())
+        if seconds[-1] >= period_s:
+            orbit = seconds <= period_s
+            kept = float(np.exp(-seconds[orbit][-1] / time_constant_s))
+            end = float(relax(seconds[orbit], goal[orbit], time_constant_s, start=start)[-1])
+            start = (end - kept * start) / (1.0 - kept)
+        setting.lags_K[time_constant_s] = relax(seconds, goal, time_constant_s, start=start)
     return setting.lags_K[time_constant_s]
-
-
-def _lag_K(setting: Setting, time_constant_s: float) -> FloatArray:
-    goal = STANDARD_SWING_K * lit(setting)
-    seconds, period_s = setting.seconds, orbital_period_s(setting)
-    start = float(goal.mean())
-    if seconds[-1] >= period_s:
-        orbit = seconds <= period_s
-        kept = float(np.exp(-seconds[orbit][-1] / time_constant_s))
-        end = float(relax(seconds[orbit], goal[orbit], time_constant_s, start=start)[-1])
-        start = (end - kept * start) / (1.0 - kept)
-    return relax(seconds, goal, time_constant_s, start=start)
 
 
 def orbital_period_s(setting: Setting) -> float:

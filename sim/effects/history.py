@@ -87,7 +87,9 @@ def field_history(signal: Signal) -> FieldHistory:
     field = track.apply(signal.ambient_N_nT)
     changing = track.apply(along)
     slope = changing - np.cross(rate, field)
-    parts = _parts(np.linalg.norm(rate, axis=1), step)
+    # Into how many parts each step is cut: by the turn that all but one in a hundred steps stay below.
+    turns = np.linalg.norm(rate, axis=1) * step
+    parts = int(np.clip(np.ceil(np.quantile(turns, 0.99) / _TURN_RAD), 1, _MOST_PARTS))
     if parts == 1:
         stamps = np.arange(signal.rows, dtype=np.intp)
         return FieldHistory(setting.seconds, field, slope, again, stamps, rate, changing)
@@ -110,12 +112,6 @@ def field_history(signal: Signal) -> FieldHistory:
         rate,
         changing,
     )
-
-
-def _parts(rate_rad_s: FloatArray, step_s: FloatArray) -> int:
-    """Into how many parts each step is cut: by the turn that all but one in a hundred steps stay below."""
-    turns = rate_rad_s * step_s
-    return int(np.clip(np.ceil(np.quantile(turns, 0.99) / _TURN_RAD), 1, _MOST_PARTS))
 
 
 def _cubic(value: FloatArray, slope: FloatArray, step_s: FloatArray, share: float) -> tuple[FloatArray, FloatArray]:

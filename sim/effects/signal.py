@@ -115,7 +115,13 @@ class Setting:
         if key not in self._rates:
             while len(self._rates) >= _REMEMBERED:
                 del self._rates[next(iter(self._rates))]
-            self._rates[key] = self.turning(offset_s), self._field_rate(offset_s)
+            after, before = (
+                field_N_nT(
+                    self.model, epoch.add_seconds(self.time[0], self.seconds + moment), self.motion.at(moment)[0]
+                )
+                for moment in (offset_s + 1.0, offset_s - 1.0)
+            )
+            self._rates[key] = self.turning(offset_s), np.asarray((after - before) / 2.0)
         return self._rates[key]
 
     @cached_property
@@ -150,13 +156,6 @@ class Setting:
         """(N, 3) body rate relative to N, components in B, `offset_s` (or (N,)) after the stamps."""
         after, before = self.track(offset_s + _BESIDE_S), self.track(offset_s - _BESIDE_S)
         return np.asarray(-np.atleast_2d(frames.product(after, before.inv()).as_rotvec()) / (2.0 * _BESIDE_S))
-
-    def _field_rate(self, offset_s: float | FloatArray) -> FloatArray:
-        after, before = (
-            field_N_nT(self.model, epoch.add_seconds(self.time[0], self.seconds + moment), self.motion.at(moment)[0])
-            for moment in (offset_s + 1.0, offset_s - 1.0)
-        )
-        return np.asarray((after - before) / 2.0)
 
     @cached_property
     def own_turn_N(self) -> Rotation | None:

@@ -112,7 +112,14 @@ class SwitchedField(SpacecraftField):
             dark = _dark(setting, self.condition)
             return dark if self.region_deg is None else dark * _inside_region(setting, self.region_deg)
         if self.condition == "interval":
-            return _inside_interval(setting, self.from_utc, self.to_utc)
+            if self.from_utc is None or self.to_utc is None:
+                raise BadInput("no interval", where="switched_field", wanted="from_utc and to_utc")
+            start, end = epoch.parse_time(self.from_utc), epoch.parse_time(self.to_utc)
+            if not start < end:
+                raise BadInput(
+                    f"{self.from_utc} to {self.to_utc}", where="switched_field", wanted="an end after the start"
+                )
+            return ((setting.time >= start) & (setting.time < end)).astype(np.float64)
         if self.condition == "region":
             return _inside_region(setting, self.region_deg)
         raise BadInput(
@@ -168,15 +175,6 @@ def _dark(setting: Setting, condition: str) -> FloatArray:
         return 1.0 - lit(setting)
     height = np.einsum("ij,ij->i", setting.given[0], setting.sun_N)
     return np.asarray(height < 0.0, dtype=np.float64)
-
-
-def _inside_interval(setting: Setting, from_utc: str | None, to_utc: str | None) -> FloatArray:
-    if from_utc is None or to_utc is None:
-        raise BadInput("no interval", where="switched_field", wanted="from_utc and to_utc")
-    start, end = epoch.parse_time(from_utc), epoch.parse_time(to_utc)
-    if not start < end:
-        raise BadInput(f"{from_utc} to {to_utc}", where="switched_field", wanted="an end after the start")
-    return ((setting.time >= start) & (setting.time < end)).astype(np.float64)
 
 
 def _inside_region(setting: Setting, region_deg: tuple[float, float, float, float] | None) -> FloatArray:

@@ -19,7 +19,7 @@ from fluxtwin.sim.base.types import FloatArray, TimeArray
 from fluxtwin.sim.earth import frames
 from fluxtwin.sim.earth.field import load_field
 from fluxtwin.sim.effects.base import DynamicsEffect
-from fluxtwin.sim.effects.chain import Active, Chain
+from fluxtwin.sim.effects.chain import Chain
 from fluxtwin.sim.effects.signal import Direction, Motion, Setting, Signal
 from fluxtwin.sim.run import spacecraft
 from fluxtwin.sim.run.flights import flights, vehicle_of
@@ -69,10 +69,6 @@ def fly_magnetometer(
         unknown_B_nT=_unknown_field_nT(scenario, world.time, "magnetometer"),
     )
     noise_nT = instrument.noise_nT * stream(scenario.seed, "magnetometer.noise").standard_normal((world.time.size, 3))
-    return Chain(setting).simulated(_testable(scenario, setting), scenario.seed, noise_nT)
-
-
-def _testable(scenario: Scenario, setting: Setting) -> list[Active]:
     kept = []
     for effect, theta in active_effects(scenario):
         reason = effect.untestable(setting)
@@ -83,7 +79,7 @@ def _testable(scenario: Scenario, setting: Setting) -> list[Active]:
             kept.append((effect, theta))
         else:
             warnings.warn(f"effects.{effect.name} is left out: {reason}", stacklevel=2)
-    return kept
+    return Chain(setting).simulated(kept, scenario.seed, noise_nT)
 
 
 def fly_sensors(scenario: Scenario, world: World, motion: Attitude) -> dict[str, FloatArray]:

@@ -39,11 +39,16 @@ def true_attitude(scenario: Scenario, world: World) -> Attitude:
         return flights(scenario).attitude(world.time)
     start = _start(scenario, world)
     if section.mode == "slews":
+        points = []
+        for point in scenario.attitude.waypoints:
+            angles = np.radians([[point.yaw_deg], [point.roll_deg], [point.pitch_deg]])
+            when = epoch.add_seconds(start, point.after_s)[0]
+            points.append(attitude.Waypoint(when, frames.rotation_BO(*angles), point.hold_s))
         return attitude.orbital_slews(
             world.time,
             world.r_N_km,
             world.v_N_km_s,
-            _waypoints(scenario, start),
+            points,
             orbital_rate_O_rad_s=_orbital_rate(scenario, world),
         )
     inertia = np.array(scenario.spacecraft.inertia_kg_m2)
@@ -82,15 +87,6 @@ def libration(scenario: Scenario) -> Libration:
             float(np.radians(a.pitch_offset_deg)),
         ),
     )
-
-
-def _waypoints(scenario: Scenario, start: np.datetime64) -> list[attitude.Waypoint]:
-    points = []
-    for point in scenario.attitude.waypoints:
-        angles = np.radians([[point.yaw_deg], [point.roll_deg], [point.pitch_deg]])
-        when = epoch.add_seconds(start, point.after_s)[0]
-        points.append(attitude.Waypoint(when, frames.rotation_BO(*angles), point.hold_s))
-    return points
 
 
 def _spin(section: AttitudeSection, inertia: FloatArray, time: TimeArray, start: np.datetime64) -> Attitude:

@@ -83,7 +83,12 @@ def schedule_times(scenario: Scenario) -> tuple[TimeArray, FloatArray]:
     assert scenario.schedule is not None
     times, numbers = [], []
     for number, part in enumerate(scenario.schedule.segments):
-        stamps = _stamps(epoch.parse_time(part.start_utc), part.step_s, part.count)
+        # UTC stamps of a segment; samples that fall inside a leap second have no stamp of their own and are left out.
+        start = epoch.parse_time(part.start_utc)
+        seconds = part.step_s * np.arange(part.count, dtype=np.float64)
+        stamps = epoch.add_seconds(start, seconds)
+        kept = np.abs(epoch.seconds_since(stamps, start) - seconds) < 1e-6
+        stamps = stamps[kept]
         times.append(stamps)
         numbers.append(np.full(stamps.size, float(number)))
     time, segment = np.concatenate(times), np.concatenate(numbers)
@@ -94,14 +99,6 @@ def schedule_times(scenario: Scenario) -> tuple[TimeArray, FloatArray]:
             wanted="segments in time order, each starting after the one before has ended",
         )
     return time, segment
-
-
-def _stamps(start: np.datetime64, step_s: float, count: int) -> TimeArray:
-    """UTC stamps of a segment; samples that fall inside a leap second have no stamp of their own and are left out."""
-    seconds = step_s * np.arange(count, dtype=np.float64)
-    stamps = epoch.add_seconds(start, seconds)
-    kept = np.abs(epoch.seconds_since(stamps, start) - seconds) < 1e-6
-    return stamps[kept]
 
 
 def ephemeris(scenario: Scenario, time: TimeArray) -> tuple[FloatArray, FloatArray]:

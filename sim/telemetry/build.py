@@ -38,10 +38,19 @@ def record(table: FileTable, *, tle: Path | str | None = None, attitude: Path | 
     notices, provenance = list(table.notices), dict(table.provenance)
     fields = _fields(table, found)
     time = table.time
-    _check_time_present(time, table.where)
+    if time.size == 0:
+        raise BadInput("there are no rows", where=table.where, wanted="a header and at least one row of data")
+    missing = np.flatnonzero(np.isnat(time))
+    if missing.size:
+        raise BadInput(
+            f"time is missing in row {missing[0] + 1}", where=table.where, wanted="a UTC stamp in every row (ISO 8601)"
+        )
     _check_positions(fields, table.where)
     if "r_E_km" in fields:
-        fields["r_N_km"] = earth_fixed_to_N(time, fields.pop("r_E_km"))
+        r_E_km = fields.pop("r_E_km")
+        fields["r_N_km"] = (
+            frames.rotation_EN(time).apply(np.where(np.isnan(r_E_km), 0.0, r_E_km), inverse=True) + 0.0 * r_E_km
+        )
         notices.append("positions were turned from Earth-fixed to GCRS")
     if tle is not None and "r_N_km" in fields:
         notices.append(f"the file has positions, so the elements in {Path(tle).name} were not used")
@@ -57,7 +66,9 @@ def record(table: FileTable, *, tle: Path | str | None = None, attitude: Path | 
         fields["q_NB"], said = companions.attitude(attitude, time, fields.get("r_N_km"), fields.get("v_N_km_s"))
         notices.extend(said)
     _check_quaternions(fields.get("q_NB"), table.where)
-    _check_binary(fields, table.where)
+    for name, value in fields.items():
+        if name in BY_NAME and BY_NAME[name].binary:
+            _binary(name, value, table.where)
     named = {column: table.columns[column] for columns in found.named.values() for column in columns.values()}
     notices.extend(_missing_rows({**fields, **named}))
     if notices:
@@ -66,11 +77,6 @@ def record(table: FileTable, *, tle: Path | str | None = None, attitude: Path | 
         return Telemetry(time=time, provenance=provenance, **_named(table, found), **fields)  # type: ignore[arg-type]
     except BadInput as error:
         raise BadInput(str(error), where=table.where) from None
-
-
-def earth_fixed_to_N(time: TimeArray, r_E_km: FloatArray) -> FloatArray:
-    """GCRS components (N, 3) of Earth-fixed positions; rows with NaN stay NaN."""
-    return frames.rotation_EN(time).apply(np.where(np.isnan(r_E_km), 0.0, r_E_km), inverse=True) + 0.0 * r_E_km
 
 
 def velocity_from_positions(time: TimeArray, r_N_km: FloatArray) -> FloatArray:
@@ -134,16 +140,6 @@ def _named(table: FileTable, found: Resolution) -> dict[str, dict[str, FloatArra
     drivers = found.named[DRIVERS.field].items()
     fields["driver_units"] = {name: table.units[column] for name, column in drivers if column in table.units}
     return fields
-
-
-def _check_time_present(time: TimeArray, where: str) -> None:
-    if time.size == 0:
-        raise BadInput("there are no rows", where=where, wanted="a header and at least one row of data")
-    missing = np.flatnonzero(np.isnat(time))
-    if missing.size:
-        raise BadInput(
-            f"time is missing in row {missing[0] + 1}", where=where, wanted="a UTC stamp in every row (ISO 8601)"
-        )
 
 
 def _check_positions(fields: dict[str, FloatArray], where: str) -> None:
@@ -211,12 +207,6 @@ def _check_quaternions(q: FloatArray | None, where: str) -> None:
             where=where,
             wanted=f"unit quaternions, norm 1 within {NORM_TOLERANCE:g}",
         )
-
-
-def _check_binary(fields: dict[str, FloatArray], where: str) -> None:
-    for name, value in fields.items():
-        if name in BY_NAME and BY_NAME[name].binary:
-            _binary(name, value, where)
 
 
 def _binary(name: str, value: FloatArray, where: str) -> None:

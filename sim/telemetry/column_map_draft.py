@@ -130,9 +130,10 @@ def draft(paths: Sequence[Path | str]) -> str:
     """
     tables = [one for path in paths for one in _inside(Path(path))]
     headers = _alike([header for path in tables for header in headers_of(path)])
+    alone = len({header.path for header in headers}) == 1 and not headers[0].pattern
     parts = [
         "# A first column map. Every guess is marked: confirm or correct it, and delete the comment.",
-        f"# Then: fluxtwin check {shlex.quote(_shown(headers))} --map THIS.toml",
+        f"# Then: fluxtwin check {shlex.quote(str(headers[0].path if alone else headers[0].path.parent))} --map THIS.toml",
     ]
     blocks, seen = _blocks(headers, named=len(tables) > 1, by_size=False)
     if "mag" not in seen:
@@ -197,11 +198,6 @@ def _inside(path: Path) -> list[Path]:
     if not found:
         raise BadInput("has no tables", where=str(path), wanted=", ".join(_TABLES))
     return found
-
-
-def _shown(headers: list[Header]) -> str:
-    alone = len({header.path for header in headers}) == 1 and not headers[0].pattern
-    return str(headers[0].path if alone else headers[0].path.parent)
 
 
 def _file(header: Header, *, named: bool, seen: set[str], by_size: bool) -> tuple[list[str], bool]:

@@ -200,7 +200,12 @@ def _source(reader: _Reader, entry: FileEntry, notices: list[str], digest: str) 
             raise BadInput(f"{name} has {len(value)} rows, time has {len(time)}", where=reader.where)
         values[name] = _to_N(name, spec, time, value)
     if "velocity" in values and entry.columns["velocity"].axes == "ITRS":
-        values["velocity"] = _inertial_velocity(values, entry, time, reader.where)
+        if "position" not in values:
+            raise BadInput("velocity in ITRS needs the position from the same file", where=reader.where)
+        axis = rotation_from_N("ITRS", np.where(np.isnat(time), np.datetime64("2000-01-01"), time)).apply(
+            [0.0, 0.0, EARTH_RATE_RAD_S], inverse=True
+        )
+        values["velocity"] = values["velocity"] + np.cross(axis, values["position"])
     notices += [text for name, spec in entry.columns.items() for text in spec.assumptions(name)]
     source = Source(entry, reader.where, time, values, notices, [digest])
     if chosen is not None and reader.taken is not None:
@@ -242,16 +247,6 @@ def _to_N(name: str, spec: ColumnSpec, time: TimeArray, value: FloatArray) -> Fl
     if good.size:
         turned[good] = rotation_from_N(str(spec.axes), time[good]).apply(value[good], inverse=True)
     return turned
-
-
-def _inertial_velocity(values: dict[str, FloatArray], entry: FileEntry, time: TimeArray, where: str) -> FloatArray:
-    """Add the Earth's rotation to velocities measured relative to it."""
-    if "position" not in values:
-        raise BadInput("velocity in ITRS needs the position from the same file", where=where)
-    axis = rotation_from_N("ITRS", np.where(np.isnat(time), np.datetime64("2000-01-01"), time)).apply(
-        [0.0, 0.0, EARTH_RATE_RAD_S], inverse=True
-    )
-    return values["velocity"] + np.cross(axis, values["position"])
 
 
 def _cut(source: Source, rows: np.ndarray) -> None:

@@ -115,10 +115,18 @@ def _resolved(present: tuple[str, ...], where: str, described: tuple[tuple[str, 
         unit = _unit_of(quantity, known, where)
         if unit is not None:
             found[quantity.name] = (quantity.columns(unit), unit)
-    _no_rivals(found, where)
+    for one, other in ((POSITION, POSITION_E), (QUATERNION, ANGLES)):
+        if one.name in found and other.name in found:
+            raise BadInput(
+                f"both {', '.join(one.written)} and {', '.join(other.written)} are given",
+                where=where,
+                wanted="one of the two",
+            )
     named = {family.field: {n: name for name in present if (n := family.name_in(name))} for family in FAMILIES}
     wheels = tuple(sorted((n for n in present if WHEEL.fullmatch(n)), key=_wheel_number))
-    _wheels_without_unit(known, where)
+    bare = sorted(name for name in known if _WHEEL_NO_UNIT.fullmatch(name))
+    if bare:
+        raise BadInput(f"column {bare[0]} has no unit in its name", where=where, wanted="wheel_N_speed_rpm")
     if MAG.name not in found:
         raise _missing_magnetometer(list(present), where, dict(described))
     taken = Resolution(found, named, wheels, ())
@@ -223,22 +231,6 @@ def _refuse_missing_unit(quantity: Quantity, known: set[str], where: str) -> Non
                 what = "has no unit in its name" if bare else "has a unit that is not accepted"
                 accepted = " or ".join(f"{stem}_{unit}" for unit in quantity.units)
                 raise BadInput(f"column {name} {what}", where=where, wanted=f"{accepted}, or a column map (--map)")
-
-
-def _no_rivals(found: dict[str, tuple[tuple[str, ...], str]], where: str) -> None:
-    for one, other in ((POSITION, POSITION_E), (QUATERNION, ANGLES)):
-        if one.name in found and other.name in found:
-            raise BadInput(
-                f"both {', '.join(one.written)} and {', '.join(other.written)} are given",
-                where=where,
-                wanted="one of the two",
-            )
-
-
-def _wheels_without_unit(known: set[str], where: str) -> None:
-    bare = sorted(name for name in known if _WHEEL_NO_UNIT.fullmatch(name))
-    if bare:
-        raise BadInput(f"column {bare[0]} has no unit in its name", where=where, wanted="wheel_N_speed_rpm")
 
 
 def _wheel_number(name: str) -> int:

@@ -13,7 +13,7 @@ import hashlib
 import io
 import re
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -193,7 +193,15 @@ def open_csv(path: Path | str, *, max_samples: int = MAX_SAMPLES) -> CsvFile:
     """Read the bytes and pass them through the front. Raises BadInput; never a parser's own error."""
     where = str(path)
     look = Lines(max_samples, where)
-    content = content_of(path, most=TABLE_BYTES, wanted="a telemetry file (.csv, .csv.gz or .nc)", look=_plain(look))
+    # `look` for the pieces of a file that may be packed; what is packed is looked at when it is unpacked.
+    packed: list[bool] = []
+
+    def shown(piece: bytes) -> None:
+        packed.append(piece[:2] == b"\x1f\x8b") if not packed else None
+        if not packed[0]:
+            look(piece)
+
+    content = content_of(path, most=TABLE_BYTES, wanted="a telemetry file (.csv, .csv.gz or .nc)", look=shown)
     if not content:
         raise BadInput("the file is empty", where=where, wanted="a header and at least one row of data")
     digest = hashlib.sha256(content).hexdigest()
@@ -211,18 +219,6 @@ def open_csv(path: Path | str, *, max_samples: int = MAX_SAMPLES) -> CsvFile:
         return CsvFile(where, names, b"", cells, require_rows(len(cells), max_samples, where), digest, tuple(notices))
     rows = _checked_rows(body, len(names), max_samples, where)
     return CsvFile(where, names, body, None, rows, digest, tuple(notices))
-
-
-def _plain(look: Lines) -> Callable[[bytes], None]:
-    """`look` for the pieces of a file that may be packed; what is packed is looked at when it is unpacked."""
-    packed: list[bool] = []
-
-    def shown(piece: bytes) -> None:
-        packed.append(piece[:2] == b"\x1f\x8b") if not packed else None
-        if not packed[0]:
-            look(piece)
-
-    return shown
 
 
 def _unpacked(content: bytes, look: Lines, where: str) -> bytes:

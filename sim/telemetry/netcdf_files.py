@@ -129,7 +129,15 @@ class NetcdfFile:
             return self._verified.pop(name)
         with self._reading(f"{clip(name)} cannot be read"):
             data = self._root[name]
-            self._look(name, data)
+            wanted = "plain numeric variables stored in the file itself"
+            if data.external or data.is_virtual:
+                raise BadInput(f"{clip(name)} is stored in another file", where=self.where, wanted=wanted)
+            if data.dtype.kind not in "iuf" or data.dtype.itemsize > 8:
+                raise BadInput(f"{clip(name)} has the type {data.dtype}", where=self.where, wanted=wanted)
+            require_rows(int(data.shape[0]) if data.shape else 0, self.max_samples, self.where, f"{clip(name)} claims")
+            chunk = math.prod(data.chunks) if data.chunks else 0
+            self._claimed[name] = max(math.prod(data.shape), chunk) * 8  # read as float64
+            require_expansion(sum(self._claimed.values()), self.bytes, self.where)
             return np.asarray(data[()])
 
     def numbers(self, name: str) -> FloatArray:
@@ -188,17 +196,6 @@ class NetcdfFile:
         if self._file is None:
             raise BadInput("is not open", where=self.where)
         return self._file
-
-    def _look(self, name: str, data: Any) -> None:
-        wanted = "plain numeric variables stored in the file itself"
-        if data.external or data.is_virtual:
-            raise BadInput(f"{clip(name)} is stored in another file", where=self.where, wanted=wanted)
-        if data.dtype.kind not in "iuf" or data.dtype.itemsize > 8:
-            raise BadInput(f"{clip(name)} has the type {data.dtype}", where=self.where, wanted=wanted)
-        require_rows(int(data.shape[0]) if data.shape else 0, self.max_samples, self.where, f"{clip(name)} claims")
-        chunk = math.prod(data.chunks) if data.chunks else 0
-        self._claimed[name] = max(math.prod(data.shape), chunk) * 8  # read as float64
-        require_expansion(sum(self._claimed.values()), self.bytes, self.where)
 
     @contextlib.contextmanager
     def _reading(self, what: str) -> Iterator[None]:

@@ -14,10 +14,17 @@ import numpy as np
 import pytest
 
 from fluxtwin.report import png_bytes, render_report
-from fluxtwin.scenarios.flight_field import residuals as causes
 from fluxtwin.scenarios.flight_field import study, tracks
-from fluxtwin.scenarios.flight_field.residuals import against_field, against_model, low_latitude, statistics
-from fluxtwin.scenarios.flight_field.study import Independent, beside, read_figures
+from fluxtwin.scenarios.flight_field import study as causes
+from fluxtwin.scenarios.flight_field.study import (
+    Independent,
+    against_field,
+    against_model,
+    beside,
+    low_latitude,
+    read_figures,
+    statistics,
+)
 from fluxtwin.scenarios.flights import Numbers
 from fluxtwin.scenarios.recorded_files import check_folder, read_settings
 from fluxtwin.sim.base.errors import BadInput, OutOfRange

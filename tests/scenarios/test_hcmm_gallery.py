@@ -12,8 +12,7 @@ import pytest
 
 from fluxtwin.scenarios.hcmm import mission
 from fluxtwin.scenarios.hcmm.gallery import REGION_DEG, run_gallery
-from fluxtwin.scenarios.hcmm.report import gallery_summary
-from fluxtwin.scenarios.hcmm.study import gallery_page
+from fluxtwin.scenarios.hcmm.study import gallery_page, gallery_summary
 from fluxtwin.sim.base import files
 
 pytestmark = [pytest.mark.closure, pytest.mark.usefixtures("lawless")]

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from fluxtwin.scenarios.flights import Numbers
-from fluxtwin.scenarios.hcmm.report import words
+from fluxtwin.scenarios.hcmm.study import words
 
 pytestmark = pytest.mark.property
 

@@ -11,15 +11,15 @@ import json
 import numpy as np
 import pytest
 
-from fluxtwin.scenarios.claims import STATUSES, counted
 from fluxtwin.scenarios.flights import NAMES, vector, vector_sigma
 from fluxtwin.scenarios.hcmm import mission, study
 from fluxtwin.scenarios.hcmm.calibration import SETS, choose_rows, sigma_ratio
 from fluxtwin.scenarios.hcmm.passes import ANOMALOUS, column_of, rms_of, run_dawn
-from fluxtwin.scenarios.hcmm.report import pulls, words
 from fluxtwin.scenarios.hcmm.scanner import SCANS, WORST, with_horizon
 from fluxtwin.scenarios.hcmm.strength import NUMBERS
+from fluxtwin.scenarios.hcmm.study import pulls, words
 from fluxtwin.scenarios.hcmm.yaw import equation_11
+from fluxtwin.scenarios.words import STATUSES, counted
 from fluxtwin.sim.base import files
 
 pytestmark = pytest.mark.closure

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from fluxtwin.scenarios.page import FigureBlock, Page, PageSection, Table
-from fluxtwin.scenarios.page_markdown import as_markdown, table_as_markdown
+from fluxtwin.scenarios.page import FigureBlock, Page, PageSection, Table, as_markdown, table_as_markdown
 
 
 def test_a_table_keeps_its_columns() -> None:

@@ -13,10 +13,10 @@ import json
 import numpy as np
 import pytest
 
-from fluxtwin.scenarios.claims import STATUSES, counted
 from fluxtwin.scenarios.flights import vector
 from fluxtwin.scenarios.seasat import geometry, mission, study
 from fluxtwin.scenarios.seasat.study import words
+from fluxtwin.scenarios.words import STATUSES, counted
 from fluxtwin.sim.base import files
 
 pytestmark = pytest.mark.closure

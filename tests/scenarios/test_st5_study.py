@@ -17,13 +17,13 @@ from fluxtwin.calib.spin.calibrate import fit_spin
 from fluxtwin.calib.spin.rows import assemble_spin
 from fluxtwin.calib.spin.start import blind_start
 from fluxtwin.plots.spin_attitude import draw_attitude_error
-from fluxtwin.scenarios.claims import Claim, counted
 from fluxtwin.scenarios.flights import Numbers
 from fluxtwin.scenarios.registry import STUDIES
 from fluxtwin.scenarios.st5 import mission, study
 from fluxtwin.scenarios.st5.calibration import filtered, options, settings
 from fluxtwin.scenarios.st5.mission import terms_of, truth_terms
 from fluxtwin.scenarios.st5.study import words
+from fluxtwin.scenarios.words import Claim, counted
 from fluxtwin.sim.earth.field import load_field
 
 pytestmark = pytest.mark.closure

@@ -60,7 +60,10 @@ class ConicalScanner:
         u = u / flat[:, None]
         v = np.cross(axis, u)
         c, s = np.cos(self.half_cone_rad), np.sin(self.half_cone_rad)
-        middle = np.sqrt(np.maximum(1.0 - _mean_sine_square(cone_B, down_B), 0.0))
+        # (N,) squared sine of the horizon's angle from nadir, averaged over azimuth: where Newton's method begins.
+        inward = np.einsum("ni,nij,nj->n", down_B, cone_B, down_B)
+        outward = 0.5 * (np.trace(cone_B, axis1=1, axis2=2) - inward)
+        middle = np.sqrt(np.maximum(1.0 - np.asarray(inward / (inward - outward)), 0.0))
         with np.errstate(invalid="ignore"):
             phase = side * np.arccos((middle - c * along) / (s * flat))
         for _ in range(_STEPS):
@@ -69,13 +72,6 @@ class ConicalScanner:
             Md = np.einsum("nij,nj->ni", cone_B, d)
             phase = phase - np.einsum("ni,ni->n", d, Md) / (2.0 * np.einsum("ni,ni->n", slope, Md))
         return np.asarray(c * axis + s * (np.cos(phase)[:, None] * u + np.sin(phase)[:, None] * v))
-
-
-def _mean_sine_square(cone: FloatArray, down: FloatArray) -> FloatArray:
-    """(N,) squared sine of the horizon's angle from nadir, averaged over azimuth: where Newton's method begins."""
-    inward = np.einsum("ni,nij,nj->n", down, cone, down)
-    outward = 0.5 * (np.trace(cone, axis1=1, axis2=2) - inward)
-    return np.asarray(inward / (inward - outward))
 
 
 def _nadir_of(crossings: FloatArray, cosines: FloatArray) -> FloatArray:

@@ -52,7 +52,15 @@ def _take(opened: Any, cdflib: Any, name: str, table: Table) -> None:
     raw = np.asarray(opened.varget(name))
     attributes = opened.varattsget(name)
     if kind in _EPOCHS:
-        table.columns[name] = _stamps(cdflib, raw)
+        known = np.ones(len(raw), dtype=bool)
+        if raw.ndim == 1 and raw.dtype.kind == "f":
+            known = np.isfinite(raw) & (raw > 0)
+        elif raw.ndim == 1:
+            known = raw > np.iinfo(np.int64).min + 1
+        out = np.full(len(raw), np.datetime64("NaT", "ns"))
+        if known.any():
+            out[known] = np.asarray(cdflib.cdfepoch.to_datetime(raw[known])).astype("datetime64[ns]")
+        table.columns[name] = out
         return
     if raw.ndim not in (1, 2) or raw.dtype.kind not in "iuf":
         return
@@ -64,15 +72,3 @@ def _take(opened: Any, cdflib: Any, name: str, table: Table) -> None:
     unit = attributes.get("UNITS", attributes.get("units"))
     if isinstance(unit, str) and unit.strip():
         table.units[name] = unit.strip()
-
-
-def _stamps(cdflib: Any, raw: np.ndarray) -> np.ndarray:
-    known = np.ones(len(raw), dtype=bool)
-    if raw.ndim == 1 and raw.dtype.kind == "f":
-        known = np.isfinite(raw) & (raw > 0)
-    elif raw.ndim == 1:
-        known = raw > np.iinfo(np.int64).min + 1
-    out = np.full(len(raw), np.datetime64("NaT", "ns"))
-    if known.any():
-        out[known] = np.asarray(cdflib.cdfepoch.to_datetime(raw[known])).astype("datetime64[ns]")
-    return out

@@ -102,12 +102,14 @@ def contract(table: Table, others: Sequence[str] = ()) -> FileTable:
     for name, value in columns.items():
         if value.shape != time.shape:
             raise BadInput(f"{name} has the shape {value.shape}, time has {time.shape}", where=table.where)
+    stated = table.attributes | texts_in({column: table.columns[column].tolist() for column in texts}, table.where)
+    stated |= {"source": Path(table.where).name, "sha256": table.sha256}
     return FileTable(
         where=table.where,
         time=time,
         columns={name: columns[name] for name in found.used},
         notices=[*table.notices, *found.notices],
-        provenance=_provenance(table, texts),
+        provenance={key: text for key, text in stated.items() if text},
         units={
             name: table.units[name] for name in found.named[DRIVERS.field].values() if table.units.get(name, "1") != "1"
         },
@@ -131,13 +133,6 @@ def _spread(table: Table) -> dict[str, tuple[str, int | None]]:
         elif value.ndim == 1:
             out[_with(name, unit) if name in stems else name] = (name, None)
     return {name: place for name, place in out.items() if name != "time"}
-
-
-def _provenance(table: Table, texts: Sequence[str]) -> dict[str, str]:
-    """What the file says of itself, in attributes or in columns that hold one text."""
-    stated = table.attributes | texts_in({column: table.columns[column].tolist() for column in texts}, table.where)
-    stated |= {"source": Path(table.where).name, "sha256": table.sha256}
-    return {key: text for key, text in stated.items() if text}
 
 
 def _with(stem: str, unit: str) -> str:

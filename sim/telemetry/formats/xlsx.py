@@ -87,15 +87,11 @@ def write(telemetry: Telemetry, path: Path | str) -> Path:
     frame.index.name = "time"
     made = io.BytesIO()
     frame.reset_index().assign(**file_texts(telemetry)).to_excel(made, index=False, engine="openpyxl")
-    return write_bytes(path, _undated(made))
-
-
-def _undated(made: io.BytesIO) -> bytes:
-    """The workbook without the hour it was made at: the same record gives the same bytes."""
+    # The workbook without the hour it was made at: the same record gives the same bytes.
     out = io.BytesIO()
     with zipfile.ZipFile(made) as book, zipfile.ZipFile(out, "w") as plain:
         for one in book.namelist():
             plain.writestr(
                 zipfile.ZipInfo(one), _DATE.sub(rb"\g<1>1980-01-01T00:00:00Z", book.read(one)), zipfile.ZIP_DEFLATED
             )
-    return out.getvalue()
+    return write_bytes(path, out.getvalue())

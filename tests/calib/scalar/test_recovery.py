@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from fluxtwin.calib.scalar.calibrate import ScalarOptions, fit_rows
-from fluxtwin.calib.scalar.fit import ScalarFit
+from fluxtwin.calib.scalar.calibrate import ScalarFit, ScalarOptions, fit_rows
 from fluxtwin.calib.scalar.rows import ScalarRows
 from fluxtwin.sim.base.errors import NoAnswer
 

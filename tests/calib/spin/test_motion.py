@@ -14,12 +14,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from fluxtwin.calib.spin.aliquest import align, align_with_prior, relative
 from fluxtwin.calib.spin.batch import Noise, State, normal_equations
 from fluxtwin.calib.spin.filter import FilterSettings, spin_filter
 from fluxtwin.calib.spin.filter_kernels import step
 from fluxtwin.calib.spin.motion import SpinMotion, skew, turn, turn_vector
 from fluxtwin.calib.spin.rows import SpinRows
+from fluxtwin.calib.spin.sedlak import align, align_with_prior, relative
 from fluxtwin.calib.spin.start import _axes
 from fluxtwin.sim.attitude.rigid_body import torque_free
 from fluxtwin.sim.spacecraft.sensors.slit_sun_sensor import SlitSunSensor

@@ -50,7 +50,10 @@ def made(**columns: Any) -> Telemetry:
         (lambda: record.inertial_hold(TIME, TWO), "inertial hold: 2 attitudes given. Wanted: one"),
         (lambda: spun([1.0, 2.0], [0.0, 0.0, 1.0]), r"spin inertia_kg_m2: has shape \(2,\). Wanted: moments about x"),
         (lambda: spun([2.0, 2.0, 1.0], [0.0] * 3), "spin: the rate or the axis is zero"),
-        (lambda: record._check_waypoints(AXES[0], -AXES[0]), "slews: a hold lasts less than zero seconds"),
+        (
+            lambda: record.slews(TIME, [record.Waypoint(TIME[0], TWO[0], -1.0)]),
+            "slews: a hold lasts less than zero seconds",
+        ),
         (lambda: rigid_body.torque_free(np.zeros(1), AXES, TWO[0], np.zeros(2)), "initial body rate: .* three finite"),
         (lambda: rigid_body.torque_free(np.zeros(1), AXES, TWO, np.ones(3)), "initial attitude: 2 attitudes given"),
         (lambda: unsealed_json("[1]", where="x.json", wanted="JSON"), "x.json: is JSON without keys. Wanted: JSON"),

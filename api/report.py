@@ -36,6 +36,7 @@ TOGETHER = re.compile(
 )
 """Spaces at which no line of a page ends."""
 POWER = re.compile(r"(?<=[|;>\w)])\^(-?\d+)")
+_CODE = re.compile("`([^`]+)`")
 _TELEPHONE = 46  # letters in a row of a table on a telephone of 390 px
 _READABLE_PX = 9.1  # of the smallest text of a figure, on whatever screen; its frame takes a little
 
@@ -112,8 +113,8 @@ def _command(text: str) -> str:
 
 
 def _whole(text: str) -> str:
-    """As `_command`, with powers raised and numbers beside their units, which no shell would take."""
-    return POWER.sub(r"<sup>\1</sup>", _command(TOGETHER.sub("\u00a0", text)))
+    """As `_command`, with code between its marks, powers raised and numbers beside their units, as no shell takes them."""
+    return _CODE.sub(r"<code>\1</code>", POWER.sub(r"<sup>\1</sup>", _command(TOGETHER.sub("\u00a0", text))))
 
 
 def _broad(table: Table) -> bool:

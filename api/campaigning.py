@@ -129,7 +129,7 @@ def one_run(flown: Scenario, known: Scenario, number: int, drawn: Mapping[str, A
         telemetry, truth = simulate(flown)
     except BadInput as error:
         return {**run, "lost": str(error)}
-    return {**run, "calibration": _calibrated(telemetry, truth), "diagnosis": _diagnosed(telemetry, known)}
+    return {**run, "calibration": _calibrated(telemetry, truth, known), "diagnosis": _diagnosed(telemetry, known)}
 
 
 def _present(flown: Scenario) -> dict[str, dict[str, Any]]:
@@ -144,29 +144,30 @@ def _present(flown: Scenario) -> dict[str, dict[str, Any]]:
     return found
 
 
-def _calibrated(telemetry: Any, truth: Any) -> dict[str, Any]:
+def _calibrated(telemetry: Any, truth: Any, known: Scenario) -> dict[str, Any]:
     from fluxtwin.calib.methods import ESTIMATORS
     from fluxtwin.verbs import calibrate
 
     try:
-        fit = calibrate(telemetry)
+        coupled = known.torquers is not None and bool(telemetry.has_attitude.any())
+        fit = calibrate(telemetry, **({"parameters": "b,S,T"} if coupled else {}))
     except (BadInput, NoAnswer) as error:
         return {"why": str(error)}
-    known = fit.calibration
+    made = fit.calibration
     verdict = "" if fit.verdict is None else fit.verdict.lines[0]
     if "attitude" not in ESTIMATORS[fit.method].needs:  # without attitude S is known up to a rotation
         return {"why": "", "verdict": verdict, "method": fit.method, "parameters": {}, "nees": None}
     parts = [truth.S.ravel(), truth.b_nT, truth.T_nT_per_Am2.ravel()]
-    at = np.flatnonzero(known.sigmas > 0)
-    off = (known.values - np.concatenate(parts)[: known.values.size])[at]
-    sigma = known.sigmas[at]
-    scaled = known.covariance[np.ix_(at, at)] / np.outer(sigma, sigma)
+    at = np.flatnonzero(made.sigmas > 0)
+    off = (made.values - np.concatenate(parts)[: made.values.size])[at]
+    sigma = made.sigmas[at]
+    scaled = made.covariance[np.ix_(at, at)] / np.outer(sigma, sigma)
     pull = off / sigma
     return {
         "why": "",
         "verdict": verdict,
         "method": fit.method,
-        "parameters": {known.names[k]: [float(e), float(s)] for k, e, s in zip(at, off, sigma, strict=True)},
+        "parameters": {made.names[k]: [float(e), float(s)] for k, e, s in zip(at, off, sigma, strict=True)},
         "nees": float(pull @ np.linalg.solve(scaled, pull)) / at.size if at.size else None,
     }
 

@@ -216,7 +216,10 @@ def _binary(name: str, value: FloatArray, where: str) -> None:
 
 
 def _missing_rows(fields: dict[str, FloatArray]) -> list[str]:
+    """How many rows of a field are blank; a sun sensor's blanks in shadow are none."""
     total = max((len(value) for value in fields.values()), default=0)
+    if {"sun_B", "sunlit"} <= fields.keys():
+        fields = {**fields, "sun_B": np.where(fields["sunlit"][:, None] == 0.0, 0.0, fields["sun_B"])}
     some = {name: value for name, value in fields.items() if np.isnan(np.min(value, initial=0.0))}
     missing = {_column(name): int(np.isnan(value).reshape(total, -1).any(axis=1).sum()) for name, value in some.items()}
     if len(missing) == 1:

@@ -14,6 +14,7 @@ from worlds import TUMBLING, tumbling
 import fluxtwin
 from fluxtwin.campaign_scores import summarise, wilson
 from fluxtwin.campaigning import one_run
+from fluxtwin.scenarios.packaged import as_scenario
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.run.simulate import simulate
 from fluxtwin.sim.scenario.scenario import parse_scenario
@@ -67,6 +68,13 @@ def test_the_ground_does_not_know_what_was_drawn() -> None:
     fit = fluxtwin.calibrate(record).calibration
     error, sigma = run["calibration"]["parameters"]["b1"]
     assert error == pytest.approx(fit.b_nT[0] - 5.0) and sigma == pytest.approx(fit.sigma["b1"])
+
+
+def test_torquers_of_the_scenario_are_calibrated_with_bias_and_matrix() -> None:
+    known = as_scenario("cubesat")
+    fit = one_run(known, known, 0, {})["calibration"]
+    assert len(fit["parameters"]) == 21
+    assert max(abs(error) / sigma for error, sigma in fit["parameters"].values()) < 5.0  # 21 normal pulls: 1e-5
 
 
 def drawn(seed: int, runs: int, at: float) -> list[dict[str, object]]:

@@ -594,3 +594,11 @@ def test_true_and_false_are_one_and_zero_where_a_column_has_nothing_else(tmp_pat
     path.write_text(TRUTHS.replace("20001", f"{quote}true{quote}"), encoding="utf-8")
     with pytest.raises(BadInput, match="mag_x_nT in row 2 is 'true', which is no number"):
         read_telemetry(path)
+
+
+def test_blanks_of_a_sun_sensor_in_shadow_are_not_missing(tmp_path: Path) -> None:
+    head = "time,mag_x_nT,mag_y_nT,mag_z_nT,sunlit,sun_x,sun_y,sun_z\n"
+    rows = ["2026-03-01T00:00:00Z,1,2,3,1,0,0,1", "2026-03-01T00:00:10Z,1,2,3,0,,,"]
+    for extra, said in (("", None), ("\n2026-03-01T00:00:20Z,1,2,3,1,,,", "sun_x ... is missing in 1 of 3 rows")):
+        (tmp_path / "t.csv").write_text(head + "\n".join(rows) + extra + "\n", encoding="utf-8")
+        assert read_telemetry(tmp_path / "t.csv").provenance.get("notices") == said

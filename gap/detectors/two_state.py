@@ -19,11 +19,11 @@ from fluxtwin.gap.detectors.finding import Finding
 from fluxtwin.gap.detectors.lines import Line, line_columns
 from fluxtwin.gap.detectors.waveforms import Fitted, does_as_well, fitted, stands_out
 from fluxtwin.gap.hypotheses.blocks import in_body
-from fluxtwin.gap.hypotheses.conditions import lit
 from fluxtwin.gap.hypotheses.evidence import BlockFit
 from fluxtwin.gap.linear.projection import ProjectedResidual
 from fluxtwin.gap.selection.criterion import THRESHOLD
 from fluxtwin.sim.base.types import BoolArray, FloatArray
+from fluxtwin.sim.effects.drivers import lit
 from fluxtwin.sim.effects.signal import Setting
 from fluxtwin.sim.effects.switched_field import HeaterSwitching
 

@@ -14,13 +14,15 @@ import numpy as np
 
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.earth import frames, sun
+from fluxtwin.sim.effects import drivers
 from fluxtwin.sim.effects.base import known_column
-from fluxtwin.sim.effects.drivers import sun_in_body
+from fluxtwin.sim.effects.drivers import TIME_CONSTANTS_S
 from fluxtwin.sim.effects.signal import Setting
 from fluxtwin.sim.telemetry.quantities import QUANTITIES
 
-THERMAL_LAGS_S = (600.0, 1500.0, 3600.0)
-"""Time constants tried for a temperature that was not recorded."""
+THERMAL_LAGS_S = np.geomspace(TIME_CONSTANTS_S[0], TIME_CONSTANTS_S[-1], 2 * len(TIME_CONSTANTS_S) - 1)
+"""Time constants tried for a temperature that was not recorded: those of the effects, which search between them, and as many
+between these."""
 _HARMONICS = 3
 _REGIONS = 48
 _REGION_RADIUS_RAD = 0.35  # of a Gaussian patch, about 20 degrees: neighbours on the sphere overlap at half height
@@ -71,24 +73,8 @@ def regions(setting: Setting) -> tuple[Condition, ...]:
     return tuple(found)
 
 
-def lagged(seconds: FloatArray, values: FloatArray, tau_s: float) -> FloatArray:
-    """(N,) first-order low-pass of `values`, held between stamps; starts at the first value's mean level."""
-    state, out = float(values.mean()), np.empty_like(values)
-    keep = np.exp(-np.diff(seconds, prepend=seconds[0]) / tau_s)
-    for row in range(values.size):
-        state = values[row] + (state - values[row]) * keep[row]
-        out[row] = state
-    return out
-
-
-def lit(setting: Setting) -> FloatArray:
-    """(N,) 1 in sunlight: as recorded, else from geometry."""
-    recorded = known_column(setting, "sunlit")
-    return np.asarray((setting.illumination if recorded is None else recorded) > 0.5, dtype=np.float64)
-
-
 def _lighting(setting: Setting) -> Iterator[Condition]:
-    sunlit = lit(setting)
+    sunlit = np.asarray(drivers.lit(setting) > 0.5, dtype=np.float64)
     yield _indicator("sunlit", "sunlit", sunlit)
     since = _since_start(setting.seconds, sunlit < 0.5)
     yield _smooth("eclipse", "time in eclipse", since, zero_known=True)
@@ -97,7 +83,7 @@ def _lighting(setting: Setting) -> Iterator[Condition]:
     sun_E = setting.R_EN.apply(sun.sun_direction_N(setting.time))
     day = np.einsum("ij,ij->i", sun_E, r_E_km) > 0
     yield _indicator("eclipse", "night below", 1.0 - day)
-    sun_B, known = sun_in_body(setting)
+    sun_B, known = drivers.sun_in_body(setting)
     shone_on = sunlit * known
     yield Condition("sunlit", "sun direction", sun_B * shone_on[:, None])
     faces = np.concatenate([np.maximum(sun_B, 0), np.maximum(-sun_B, 0)], axis=1) * shone_on[:, None]
@@ -107,7 +93,8 @@ def _lighting(setting: Setting) -> Iterator[Condition]:
         yield _smooth("temperature", "temperature", recorded)
     else:
         for tau_s in THERMAL_LAGS_S:
-            yield _smooth("temperature", f"sunlight lagged by {tau_s:.0f} s", lagged(setting.seconds, sunlit, tau_s))
+            lagged = drivers.temperature_K(setting, float(tau_s))
+            yield _smooth("temperature", f"sunlight lagged by {tau_s:.0f} s", lagged)
 
 
 def _orbital(setting: Setting) -> Iterator[Condition]:

@@ -130,9 +130,18 @@ def refit(
     count, active = len(modelled), [*modelled, *chosen]
     vector = _packed(active)
     low, high = _limits(active)
-    vector = np.clip(vector, low, high)
+    start = np.clip(vector, low, high)
+    vector = start.copy()
+    vector[sum(len(theta) for _, theta in modelled) :] = 0.0
     residual = channel.residual(_unpacked(active, vector))
     chi2 = float(np.sum(residual**2))
+    if (start != vector).any():
+        # From nothing, so that no fit ends worse than without: a clip is anything but linear.
+        vector, residual, chi2 = _search_line(channel, active, vector, start - vector, (low, high), chi2) or (
+            vector,
+            residual,
+            chi2,
+        )
     jacobian = channel.jacobian(_unpacked(active, vector)) if guess is None else guess
     exact = guess is None
     for _ in range(2 * _STEPS):

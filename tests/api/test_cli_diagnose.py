@@ -384,10 +384,12 @@ def test_a_wrong_unit_is_to_be_corrected_before_anything_is_flown(late: Case, cl
 
 
 def test_a_value_that_no_instrument_gives_is_named(late: Case, cli: Cli, tmp_path: Path) -> None:
-    text = [line.rpartition(",")[0] for line in (late.folder / "late.csv").read_text().splitlines()]  # without checks
+    text = [
+        line.rpartition(",")[0] for line in (late.folder / "late.csv").read_text(encoding="utf-8").splitlines()
+    ]  # without checks
     row = text[5].split(",")
     row[text[0].split(",").index("mag_x_nT")] = "1e300"
-    (tmp_path / "spoilt.csv").write_text("\n".join([*text[:5], ",".join(row), *text[6:]]) + "\n")
+    (tmp_path / "spoilt.csv").write_text("\n".join([*text[:5], ",".join(row), *text[6:]]) + "\n", encoding="utf-8")
     result = cli("diagnose", tmp_path / "spoilt.csv", *FLAGS)
     assert result.status == 2
     assert "1e+300" in result.err

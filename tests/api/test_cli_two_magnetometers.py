@@ -87,7 +87,9 @@ def test_what_drowns_in_the_shared_part_is_given_a_limit_and_not_a_zero(
 ) -> None:
     text = SENSORS.replace("noise_nT = 20.0", "noise_nT = 1.0").replace("noise_nT = 60.0", f"noise_nT = {noise_nT}")
     text = text.replace("sigma_deg = 0.1", "sigma_deg = 1.0").replace("tau_s = 0.0", "tau_s = 300.0")
-    (tmp_path / "s.toml").write_text(scenario_text(text, seed=2, segment="samples = 1500, step_s = 10.0"))
+    (tmp_path / "s.toml").write_text(
+        scenario_text(text, seed=2, segment="samples = 1500, step_s = 10.0"), encoding="utf-8"
+    )
     record, _ = fluxtwin.simulate(tmp_path / "s.toml")
     fluxtwin.write(record, tmp_path / "t.nc")
     done = cli("calibrate", tmp_path / "t.nc", "--both", "--json", tmp_path / "c.json")

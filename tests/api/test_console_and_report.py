@@ -218,7 +218,7 @@ def test_a_study_is_written_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     own = tmp_path / "scenario.toml"
 
     def run(out: Path, data: Path | None, progress: object) -> StudyResult:
-        own.write_text("seed = 1\n")
+        own.write_text("seed = 1\n", encoding="utf-8")
         return StudyResult("s", "done", {"a": 1}, [], page_with("x"), [own])
 
     monkeypatch.setattr(studies, "find_study", lambda name: run)

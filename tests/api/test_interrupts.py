@@ -95,7 +95,7 @@ from fluxtwin.sim.base.files import write_with
 m.stop_when_asked()
 write_with("t.csv", lambda path: (path.write_text("half"), time.sleep(100)))"""
     process = started(code, [], tmp_path)
-    while not [path for path in tmp_path.iterdir() if path.read_text() == "half"]:
+    while not [path for path in tmp_path.iterdir() if path.read_text(encoding="utf-8") == "half"]:
         time.sleep(0.02)
     process.send_signal(signal.SIGTERM)
     _, said = process.communicate(timeout=60)

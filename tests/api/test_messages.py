@@ -82,7 +82,7 @@ def test_the_wrong_kind_of_thing_costs_one_line_that_says_what_it_is(
 def test_an_unknown_key_is_one_line_and_verbose_lists_the_known(
     cli: Cli, here: Path, name: str, old: str, new: str, said: str, known: str
 ) -> None:
-    (here / name).write_text((here / name).read_text().replace(old, new, 1))
+    (here / name).write_text((here / name).read_text(encoding="utf-8").replace(old, new, 1), encoding="utf-8")
     command = ["simulate", name] if name == "s.toml" else ["apply", "t.csv", "--calibration", name]
     short = cli(*command, "--out", "x.nc")
     assert short.status == 2
@@ -94,14 +94,16 @@ def test_an_unknown_key_is_one_line_and_verbose_lists_the_known(
 
 
 def test_a_column_map_with_text_for_a_table_is_shown_what_it_looks_like(cli: Cli, here: Path) -> None:
-    (here / "m.toml").write_text(MAP.replace('{ recipe = "unix_s", columns = "t" }', '"t"'))
+    (here / "m.toml").write_text(MAP.replace('{ recipe = "unix_s", columns = "t" }', '"t"'), encoding="utf-8")
     assert 'as { recipe = "unix_ms", columns = "t" } (found \'t\')' in cli("check", "data", "--map", "m.toml").err
 
 
 @pytest.mark.parametrize("key", ["epoch_utc", "start_utc"])
 @pytest.mark.parametrize("stamp", ["2012-03-01T00:00:00", "2012-03-01 00:00:00"])
 def test_a_time_without_its_zone_is_refused_with_what_to_write(cli: Cli, here: Path, key: str, stamp: str) -> None:
-    (here / "s.toml").write_text(SCENARIO.replace(f'{key} = "2012-03-01T00:00:00Z"', f'{key} = "{stamp}"'))
+    (here / "s.toml").write_text(
+        SCENARIO.replace(f'{key} = "2012-03-01T00:00:00Z"', f'{key} = "{stamp}"'), encoding="utf-8"
+    )
     outcome = cli("simulate", "s.toml", "--out", "x.nc")
     assert outcome.status == 2
     assert key in outcome.err and 'write "2012-03-01T00:00:00Z"' in outcome.err

@@ -194,7 +194,7 @@ def test_a_wrong_ending_or_a_folder_that_is_not_there(cli: Cli, here: Path, word
 @pytest.mark.parametrize("name", ["x.tmp", "x", "x.txt", "x.json"])
 def test_json_may_have_any_name_that_is_nobody_elses(cli: Cli, here: Path, name: str) -> None:
     assert cli("effects", "bias", "--json", name).status == 0
-    assert json.loads((here / name).read_text())["effects"][0]["name"] == "bias"
+    assert json.loads((here / name).read_text(encoding="utf-8"))["effects"][0]["name"] == "bias"
 
 
 FOREIGN = {
@@ -283,9 +283,9 @@ def test_a_page_of_ours_may_be_written_again(here: Path) -> None:
 
 def test_a_saved_scenario_that_was_edited_is_its_editors(cli: Cli, here: Path) -> None:
     saved = here / "t.scenario.toml"
-    saved.write_text(saved.read_text().replace("seed = 7", "seed = 8"))
+    saved.write_text(saved.read_text(encoding="utf-8").replace("seed = 7", "seed = 8"), encoding="utf-8")
     assert cli("simulate", "s.toml", "--out", "t.nc").status == 2
-    assert "seed = 8" in saved.read_text()
+    assert "seed = 8" in saved.read_text(encoding="utf-8")
 
 
 def test_a_scenario_beside_its_output_keeps_its_comments(cli: Cli, here: Path) -> None:
@@ -313,7 +313,7 @@ def test_a_folder_of_a_study_may_be_written_again(cli: Cli, here: Path, monkeypa
     from fluxtwin.scenarios.page import StudyResult
 
     def run(out: Path, data: Path | None, progress: object) -> StudyResult:
-        (out / "scenario.toml").write_text("seed = 1\n")
+        (out / "scenario.toml").write_text("seed = 1\n", encoding="utf-8")
         return StudyResult("s", "done", {"a": 1}, [], None, [])
 
     monkeypatch.setattr(studies, "find_study", lambda name: run)
@@ -335,9 +335,9 @@ def test_links_are_followed_and_modes_kept(cli: Cli, here: Path) -> None:
     for name in ("link.json", "new.json"):
         assert cli("effects", "bias", "--json", name).status == 0
         assert (here / name).is_symlink()
-    assert json.loads(target.read_text())
+    assert json.loads(target.read_text(encoding="utf-8"))
     assert stat.S_IMODE(target.stat().st_mode) == 0o600
-    assert json.loads((here / "elsewhere" / "made.json").read_text())
+    assert json.loads((here / "elsewhere" / "made.json").read_text(encoding="utf-8"))
 
 
 @posix
@@ -439,7 +439,7 @@ def test_the_marks_do_not_hinder_reading(here: Path) -> None:
 def test_the_number_of_a_file_that_another_process_replaced_is_not_taken_for_it(tmp_path, monkeypatch):
     """A file system gives the number of a file that is gone to the next one: here before the second output is looked at."""
     first, second = tmp_path / "a.csv", tmp_path / "b.toml"
-    first.write_text("1\n")
+    first.write_text("1\n", encoding="utf-8")
     kinds = {"--out": (first, outputs.TELEMETRY), "--scenario": (second, outputs.SCENARIO)}
     number, others = first.stat().st_ino, iter([True])
     found = outputs._identity

@@ -32,15 +32,19 @@ def test_a_map_reads_each(system: str, tmp_path: Path) -> None:
     q, order, sense = ROWS[system]
     (tmp_path / "t.csv").write_text(
         "t,a,b,c,d,rx,ry,rz,bx,by,bz\n"
-        + "".join(f"2026-03-01T00:0{k}:00Z,{','.join(map(str, q))},7000,0,{k},1,2,3\n" for k in range(3))
+        + "".join(f"2026-03-01T00:0{k}:00Z,{','.join(map(str, q))},7000,0,{k},1,2,3\n" for k in range(3)),
+        encoding="utf-8",
     )
-    (tmp_path / "m.toml").write_text(f"""[[file]]
+    (tmp_path / "m.toml").write_text(
+        f"""[[file]]
 time = {{ recipe = "iso", columns = "t" }}
 [file.columns]
 mag = {{ from = ["bx", "by", "bz"], unit = "nT" }}
 position = {{ from = ["rx", "ry", "rz"], unit = "km", frame = "GCRS" }}
 attitude = {{ from = ["a", "b", "c", "d"], order = "{order}", sense = "{sense}", relative_to = "GCRS" }}
-""")
+""",
+        encoding="utf-8",
+    )
     record = fluxtwin.read(tmp_path / "t.csv", column_map=tmp_path / "m.toml")
     assert np.abs(frames.rotation_from_q(record.q_NB).as_matrix() - A).max() < 1e-5  # five digits are printed
 

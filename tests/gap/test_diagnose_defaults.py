@@ -31,7 +31,7 @@ DECLARED = Budget(20.0, 10.0, float(np.radians(0.1)), 300.0)
 
 def readme_scenario(seed: int = 1) -> Scenario:
     """The scenario that the README shows."""
-    text = re.search(r"```toml\n(.*?)```", README.read_text(), re.S)
+    text = re.search(r"```toml\n(.*?)```", README.read_text(encoding="utf-8"), re.S)
     assert text is not None
     return parse_scenario(text.group(1), where="README.md").model_copy(update={"seed": seed})
 

@@ -423,7 +423,7 @@ def test_the_report_is_json(model: FieldModel) -> None:
 def shuffled(model: FieldModel, folder: Path) -> tuple[Telemetry, Path]:
     """A good file with two rows swapped, one repeated exactly and one repeated with other content."""
     record = good(model, 5)
-    lines = write_telemetry(record, folder / "good.csv").read_text().splitlines()
+    lines = write_telemetry(record, folder / "good.csv").read_text(encoding="utf-8").splitlines()
     lines = [line.rpartition(",")[0] for line in lines]  # without its checks, which a rival would not fit
     lines[100], lines[101] = lines[101], lines[100]
     lines.insert(201, lines[200])
@@ -431,7 +431,7 @@ def shuffled(model: FieldModel, folder: Path) -> tuple[Telemetry, Path]:
     rival[7] = "1.0"
     lines.insert(301, ",".join(rival))
     path = folder / "shuffled.csv"
-    path.write_text("\n".join(lines) + "\n")
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
     return record, path
 
 

@@ -150,9 +150,9 @@ def test_elements_move_the_position_with_the_stamps(model: FieldModel, shared: P
     for shift, codes in ((0, []), (18, ["clock"]), (-3600, ["clock"])):
         late = dataclasses.replace(case, time=case.time + np.timedelta64(shift, "s"), earth_fixed=False, extra={})
         path = write(late, tmp_path / "record.csv")
-        without = [line.split(",") for line in path.read_text().splitlines()]
+        without = [line.split(",") for line in path.read_text(encoding="utf-8").splitlines()]
         kept = [k for k, name in enumerate(without[0]) if not name.startswith(("r_", "v_"))]
-        path.write_text("\n".join(",".join(row[k] for k in kept) for row in without) + "\n")
+        path.write_text("\n".join(",".join(row[k] for k in kept) for row in without) + "\n", encoding="utf-8")
         report = check_file(path, model, tle=tle)
         assert [trap.code for trap in report.traps] == codes, report.traps
         if shift:
@@ -166,7 +166,7 @@ def with_drag(folder: Path) -> Path:
         "2 56188  97.3684 141.2317 0013862  88.0416 272.2093 15.28521636 51270",
     ]
     path = folder / "drag.tle"
-    path.write_text("\n".join(map(fix_checksum, lines)) + "\n")
+    path.write_text("\n".join(map(fix_checksum, lines)) + "\n", encoding="utf-8")
     return path
 
 
@@ -185,7 +185,7 @@ def test_a_shift_that_elements_or_model_do_not_reach_is_no_error(model: FieldMod
     """Elements with drag have decayed 1024 weeks on, and IGRF ends with 2029: that says nothing of the record."""
     tle = with_drag(tmp_path)
     elements, start = read_elements(tle), read_tle(tle).epoch_utc
-    satellite = Satrec.twoline2rv(*tle.read_text().splitlines())
+    satellite = Satrec.twoline2rv(*tle.read_text(encoding="utf-8").splitlines())
     assert satellite.sgp4(satellite.jdsatepoch + 1024 * 7, satellite.jdsatepochF)[0] != 0  # SGP4 has no answer then
     time = start + np.arange(0, 6 * 3600, 10) * np.timedelta64(10**9, "ns")
     r, v = elements.propagate(time)
@@ -229,7 +229,7 @@ def test_the_leap_seconds_of_the_epoch_are_tried(model: FieldModel, tmp_path: Pa
 def test_a_stamp_without_zone_is_said_to_be_taken_as_utc(model: FieldModel, tmp_path: Path) -> None:
     path = write(flown(model, GOOD, 1), tmp_path / "record.csv")
     assert "taken as UTC" not in str(check_file(path, model).to_dict())
-    path.write_text(re.sub(r"(:\d\d\.\d{3})Z,", r"\1,", path.read_text()))
+    path.write_text(re.sub(r"(:\d\d\.\d{3})Z,", r"\1,", path.read_text(encoding="utf-8")), encoding="utf-8")
     (said,) = [note.text for note in check_file(path, model).notes if "taken as UTC" in note.text]
     assert "time.zone" in said
 

@@ -79,7 +79,8 @@ def test_names_follow_the_order_of_the_covariance() -> None:
 def test_a_file_written_by_hand_needs_three_keys(tmp_path: Path) -> None:
     path = tmp_path / "c.toml"
     path.write_text(
-        'convention = "A B0 = (I+S) B + b + T D"\nS = [[0, 0, 0], [0, 0, 0], [0, 0, 0]]\nb_nT = [1, 2.5, -3]\n'
+        'convention = "A B0 = (I+S) B + b + T D"\nS = [[0, 0, 0], [0, 0, 0], [0, 0, 0]]\nb_nT = [1, 2.5, -3]\n',
+        encoding="utf-8",
     )
     calibration = Calibration.from_toml(path)
     assert calibration.b_nT.tolist() == [1.0, 2.5, -3.0]
@@ -132,7 +133,7 @@ def test_matrices_are_checked(tmp_path: Path, key: str, value: str, words: str) 
     content = {"convention": '"A B0 = (I+S) B + b + T D"', "S": "[[0,0,0],[0,0,0],[0,0,0]]", "b_nT": "[0,0,0]"}
     content[key] = value
     path = tmp_path / "c.toml"
-    path.write_text("".join(f"{k} = {v}\n" for k, v in content.items()))
+    path.write_text("".join(f"{k} = {v}\n" for k, v in content.items()), encoding="utf-8")
     with pytest.raises(BadInput, match=words):
         Calibration.from_toml(path)
 
@@ -157,7 +158,7 @@ def test_unreadable_files(tmp_path: Path) -> None:
     (tmp_path / "binary.toml").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(BadInput, match="not UTF-8"):
         Calibration.from_toml(tmp_path / "binary.toml")
-    (tmp_path / "not.toml").write_text("S = [[")
+    (tmp_path / "not.toml").write_text("S = [[", encoding="utf-8")
     with pytest.raises(BadInput, match="is not valid TOML"):
         Calibration.from_toml(tmp_path / "not.toml")
 
@@ -251,13 +252,13 @@ def test_a_sigma_that_contradicts_the_covariance(tmp_path: Path) -> None:
 @pytest.mark.parametrize("text", ["x = " + 3000 * "[", "samples = " + 5000 * "9"])
 def test_toml_that_breaks_the_parser_is_bad_input(tmp_path: Path, text: str) -> None:
     path = tmp_path / "c.toml"
-    path.write_text(text)
+    path.write_text(text, encoding="utf-8")
     with pytest.raises(BadInput, match="is not valid TOML"):
         Calibration.from_toml(path)
 
 
 def test_a_scenario_is_called_a_scenario(tmp_path: Path) -> None:
     path = tmp_path / "my.toml"
-    path.write_text('seed = 1\n[spacecraft]\nname = "x"\n[magnetometer]\nnoise_nT = 1.0\n')
+    path.write_text('seed = 1\n[spacecraft]\nname = "x"\n[magnetometer]\nnoise_nT = 1.0\n', encoding="utf-8")
     with pytest.raises(BadInput, match=r"this is a scenario.*Wanted: a calibration file"):
         Calibration.from_toml(path)

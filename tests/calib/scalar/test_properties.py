@@ -192,7 +192,7 @@ def test_a_field_that_follows_a_column_survives_saving(record: Telemetry, model:
     assert left == predict_scalar(spoilt, fit.calibration, model).to_dict()
     with pytest.raises(BadInput, match="a field that follows 'array_current_A', and the telemetry lacks the column"):
         apply_calibration(spoilt.replace(array_current_A=None), again)
-    lines = [line for line in path.read_text().splitlines() if not line.startswith("sha256")]
-    path.write_text("\n".join(lines).replace("nT_per_unit", "nT"))
+    lines = [line for line in path.read_text(encoding="utf-8").splitlines() if not line.startswith("sha256")]
+    path.write_text("\n".join(lines).replace("nT_per_unit", "nT"), encoding="utf-8")
     with pytest.raises(BadInput, match=r"telemetry_bias\.array_current_A"):
         Calibration.from_toml(path)

@@ -105,6 +105,6 @@ def test_a_grid_that_is_too_coarse_for_the_spin_is_refused() -> None:
 
 
 def test_a_file_of_42_without_rows_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "MTB.42").write_text("\n")
+    (tmp_path / "MTB.42").write_text("\n", encoding="utf-8")
     with pytest.raises(BadInput, match=r"MTB\.42: has no rows"):
         _numbers(tmp_path / "MTB.42", 10)

@@ -18,12 +18,12 @@ def test_an_exception_while_writing_leaves_the_old_file_and_no_litter(tmp_path):
     path = files.write_text(tmp_path / "a.txt", "old")
 
     def broken(temporary):
-        temporary.write_text("half")
+        temporary.write_text("half", encoding="utf-8")
         raise RuntimeError("stop")
 
     with pytest.raises(RuntimeError):
         files.write_with(path, broken)
-    assert path.read_text() == "old"
+    assert path.read_text(encoding="utf-8") == "old"
     assert [p.name for p in tmp_path.iterdir()] == ["a.txt"]
 
 
@@ -47,7 +47,7 @@ def test_leftovers_of_a_killed_process_are_swept_and_those_of_a_living_one_stay(
             living.kill()
         living.communicate("go on\n" if end == "finish" else None)
     assert {p.name for p in tmp_path.iterdir()} == {"a.txt", "b.txt"}
-    assert (tmp_path / "b.txt").read_text() == "b"
+    assert (tmp_path / "b.txt").read_text(encoding="utf-8") == "b"
 
 
 @pytest.mark.skipif(os.name != "posix", reason="flock")
@@ -56,7 +56,7 @@ def test_where_there_are_no_locks_nothing_is_swept(tmp_path, monkeypatch):
         raise OSError(95, "Operation not supported")
 
     leftover = ".fluxtwin-unfinished-0a1b2c3d.txt"
-    (tmp_path / leftover).write_text("perhaps at work")
+    (tmp_path / leftover).write_text("perhaps at work", encoding="utf-8")
     monkeypatch.setattr("fcntl.flock", unsupported)
     files.write_text(tmp_path / "a.txt", "new")
     assert {p.name for p in tmp_path.iterdir()} == {"a.txt", leftover}
@@ -65,7 +65,7 @@ def test_where_there_are_no_locks_nothing_is_swept(tmp_path, monkeypatch):
 def test_only_names_of_our_own_making_are_swept(tmp_path):
     mine = {".fluxtwin-notes.txt", ".fluxtwin-settings.toml", ".fluxtwin-unfinished-notes.txt"}
     for name in mine:
-        (tmp_path / name).write_text("somebody's own")
+        (tmp_path / name).write_text("somebody's own", encoding="utf-8")
     files.write_text(tmp_path / "a.txt", "new")
     assert {p.name for p in tmp_path.iterdir()} == {"a.txt", *mine}
 
@@ -79,7 +79,7 @@ def test_json_without_nan(tmp_path, value):
 
 def test_a_target_that_cannot_be_written_is_named(tmp_path):
     blocker = tmp_path / "file"
-    blocker.write_text("")
+    blocker.write_text("", encoding="utf-8")
     with pytest.raises(BadInput, match=r"file/x\.txt"):
         files.write_text(blocker / "x.txt", "")
     with pytest.raises(BadInput, match="is a folder"):

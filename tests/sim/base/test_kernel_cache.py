@@ -69,7 +69,7 @@ def test_a_damaged_cache_is_compiled_again(tmp_path: Path) -> None:
 
 def test_no_folder_means_no_cache_and_no_failure(tmp_path: Path) -> None:
     blocked = tmp_path / "a_file"
-    blocked.write_text("")
+    blocked.write_text("", encoding="utf-8")
     assert run(tmp_path / "src", XDG_CACHE_HOME=str(blocked)) == ["42.0", "0", "None"]
 
 

@@ -91,7 +91,7 @@ def test_rebuilding_gives_the_packaged_file(name: str, tmp_path: Path, monkeypat
 
 def test_igrf14_numbers_as_printed_in_its_file() -> None:
     """A few coefficients read by eye from IGRF14.shc, so that order and sign do not rest on the builder."""
-    text = (importlib.resources.files("ppigrf") / "IGRF14.shc").read_text()
+    text = (importlib.resources.files("ppigrf") / "IGRF14.shc").read_text(encoding="utf-8")
     assert "-29496.57" in text
     model = field.load_field("igrf14")
     at_2010 = model.coefficients_nT(np.datetime64("2010-01-01"))[0]

@@ -26,10 +26,10 @@ LINE2 = "2 64559  97.7592 104.5218 0002960 121.2529 238.8980 14.91647938 27010"
 def verification_set():
     """Per satellite: number, line 1, line 2, (start, stop, step) [min], official rows t, r, v. `sgp4` carries the files."""
     files = importlib.resources.files("sgp4")
-    lines = (files / "SGP4-VER.TLE").read_text().splitlines()
+    lines = (files / "SGP4-VER.TLE").read_text(encoding="utf-8").splitlines()
     lines = [line.rstrip() for line in lines if not line.startswith("#")]
     official: list[tuple[str, list[list[float]]]] = []
-    for words in map(str.split, (files / "tcppver.out").read_text().splitlines()):
+    for words in map(str.split, (files / "tcppver.out").read_text(encoding="utf-8").splitlines()):
         if words[-1] == "xx":
             official.append((words[0], []))
         else:
@@ -169,7 +169,7 @@ def test_files_with_and_without_a_name(tmp_path):
 )
 def test_bad_files_are_named(tmp_path, text, message):
     path = tmp_path / "bad.tle"
-    path.write_text(text)
+    path.write_text(text, encoding="utf-8")
     with pytest.raises(BadInput, match=message) as caught:
         tle.read_tle(path)
     assert "bad.tle" in str(caught.value)

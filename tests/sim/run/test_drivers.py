@@ -114,9 +114,9 @@ def test_a_file_and_a_slower_rate(scenario: Scenario, tmp_path: Path) -> None:
     start = scenario.schedule.segments[0].start_utc if scenario.schedule else ""
     stamps = epoch.add_seconds(epoch.parse_time(start), np.array([-100.0, 3000.0, 20_000.0]))
     rows = [f"{epoch.iso(stamp)},{value}" for stamp, value in zip(stamps, (1.0, 4.1, -12.9), strict=True)]
-    (tmp_path / "load.csv").write_text("\n".join(["time,load_A", *rows]) + "\n")
+    (tmp_path / "load.csv").write_text("\n".join(["time,load_A", *rows]) + "\n", encoding="utf-8")
     section = '[drivers.load]\npattern = "file"\nfile = "load.csv"\ncolumn = "load_A"\n'
-    (tmp_path / "s.toml").write_text(TEXT + section + "[sampling.housekeeping]\nevery_s = 60.0\n")
+    (tmp_path / "s.toml").write_text(TEXT + section + "[sampling.housekeeping]\nevery_s = 60.0\n", encoding="utf-8")
     telemetry, _ = simulate(load_scenario(tmp_path / "s.toml"))
     read, load = np.isfinite(telemetry.drivers["load"]), telemetry.drivers["load"]
     seconds = 10.0 * np.arange(1201)
@@ -128,14 +128,14 @@ def test_a_file_and_a_slower_rate(scenario: Scenario, tmp_path: Path) -> None:
     replay = {"orbit": None, "schedule": None, "replay.telemetry": str(path)}
     assert np.array_equal(simulate(scenario.updated(replay))[0].drivers["load"], load, equal_nan=True)
     assert read_telemetry(path).driver_units == {"heat": "W"}
-    (tmp_path / "load.csv").write_text("time,load_A\n" + "\n".join(rows[1:]) + "\n")
+    (tmp_path / "load.csv").write_text("time,load_A\n" + "\n".join(rows[1:]) + "\n", encoding="utf-8")
     with pytest.raises(BadInput, match=r"drivers.load: .*load.csv: its values of load_A do not cover the schedule"):
         simulate(load_scenario(tmp_path / "s.toml"))
     for head, held, said in (
         ("time,load_W", rows, "column load_A is missing"),
         ("time,load_A", rows[::-1], "time does not increase"),
     ):
-        (tmp_path / "load.csv").write_text("\n".join([head, *held, ""]))
+        (tmp_path / "load.csv").write_text("\n".join([head, *held, ""]), encoding="utf-8")
         with pytest.raises(BadInput, match=rf"drivers.load: .*load.csv: {said}"):
             simulate(load_scenario(tmp_path / "s.toml"))
 

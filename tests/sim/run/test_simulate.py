@@ -200,7 +200,7 @@ def test_replay_keeps_the_record_and_simulates_the_magnetometer(scenario, run, t
         ]
     )
     path = tmp_path / "replay.toml"
-    path.write_text(text)
+    path.write_text(text, encoding="utf-8")
     from fluxtwin.sim.scenario.scenario import load_scenario
 
     telemetry, truth = simulate(load_scenario(path))

@@ -33,12 +33,12 @@ MAG = 'mag = { from = ["bx", "by", "bz"], unit = "nT" }'
 
 def csv(path: Path, head: str, rows: list[list[object]]) -> None:
     text = [head, *(",".join(x if isinstance(x, str) else repr(x) for x in row) for row in rows)]
-    path.write_text("\n".join(text) + "\n")
+    path.write_text("\n".join(text) + "\n", encoding="utf-8")
 
 
 def mapped(folder: Path, toml: str, data: str | None = None) -> Telemetry:
     path = folder / "map.toml"
-    path.write_text(toml)
+    path.write_text(toml, encoding="utf-8")
     return read_telemetry(folder if data is None else folder / data, column_map=path)
 
 
@@ -315,10 +315,13 @@ def test_the_maps_that_travel_say_which_files_they_are_for() -> None:
 
 
 def test_check_names_rows_out_of_order_under_a_map_too(tmp_path: Path) -> None:
-    (tmp_path / "a.csv").write_text("t,x,y,z\n" + "".join(f"{t},{t},2{t},3{t}\n" for t in (10, 12, 11, 13)))
+    (tmp_path / "a.csv").write_text(
+        "t,x,y,z\n" + "".join(f"{t},{t},2{t},3{t}\n" for t in (10, 12, 11, 13)), encoding="utf-8"
+    )
     (tmp_path / "map.toml").write_text(
         '[[file]]\ntime = { recipe = "unix_s", columns = "t" }\n[file.columns]\n'
-        'mag = { from = ["x", "y", "z"], unit = "uT" }\n'
+        'mag = { from = ["x", "y", "z"], unit = "uT" }\n',
+        encoding="utf-8",
     )
     found = check_file(tmp_path / "a.csv", load_field("igrf14"), column_map=tmp_path / "map.toml")
     (finding,) = [one for one in found.traps if one.code == "time_not_increasing"]
@@ -330,7 +333,7 @@ def test_check_names_rows_out_of_order_under_a_map_too(tmp_path: Path) -> None:
 def test_the_maps_in_the_docs_are_valid(tmp_path: Path) -> None:
     assert len(examples()) == 3
     for text in examples():
-        (tmp_path / "map.toml").write_text(text)
+        (tmp_path / "map.toml").write_text(text, encoding="utf-8")
         assert load_column_map(tmp_path / "map.toml").file
 
 

@@ -39,7 +39,7 @@ GPS = UNIX - 315964800.0 + 18.0
 def table(path: Path, columns: dict[str, np.ndarray]) -> Path:
     rows = zip(*(column.tolist() for column in columns.values()), strict=True)
     text = [",".join(columns), *(",".join(map(str, row)) for row in rows)]
-    path.write_text("\n".join(text) + "\n")
+    path.write_text("\n".join(text) + "\n", encoding="utf-8")
     return path
 
 
@@ -117,7 +117,7 @@ def test_a_drafted_map_reads_the_file_where_its_guesses_are_right(
     name: str, tmp_path: Path, close: Callable[..., None]
 ) -> None:
     data = table(tmp_path / "foreign.csv", HEADERS[name])
-    (tmp_path / "map.toml").write_text(draft([data]))
+    (tmp_path / "map.toml").write_text(draft([data]), encoding="utf-8")
     record = read_telemetry(data, column_map=tmp_path / "map.toml")
     close(record.mag_B_nT, MAG, atol=1e-6, unit="nT", because="the same numbers in another unit")
     assert record.r_N_km is not None
@@ -143,7 +143,7 @@ def test_a_shadow_is_no_sunlight_and_a_panel_has_the_arrays_current(tmp_path: Pa
     data = table(tmp_path / "t.csv", HEADERS["names with marks and brackets, a shadow flag"])
     text = draft([data])
     assert f"{CONFIRM} sunlit: that eclipse is 1 in shadow" in text and "array_current" in text
-    (tmp_path / "map.toml").write_text(text)
+    (tmp_path / "map.toml").write_text(text, encoding="utf-8")
     found = read_telemetry(data, column_map=tmp_path / "map.toml")
     assert found.sunlit is not None and np.array_equal(found.sunlit, 1.0 - DARK)
 
@@ -176,7 +176,7 @@ def test_a_column_that_says_which_rows_count_is_offered(tmp_path: Path) -> None:
     text = draft([table(tmp_path / "t.csv", {**HEADERS["ISO, bracketed units, ECI"], **words})])
     (line,) = [line for line in text.splitlines() if "which rows count" in line]
     stated = line.partition("if those with 1: ")[2]
-    (tmp_path / "map.toml").write_text(text.replace(line, stated))
+    (tmp_path / "map.toml").write_text(text.replace(line, stated), encoding="utf-8")
     found = read_telemetry(tmp_path / "t.csv", column_map=tmp_path / "map.toml")
     assert len(found) == 196 and np.array_equal(found.drivers["tx_on"], on[good].astype(float))
 
@@ -185,9 +185,9 @@ def test_a_second_magnetometer_is_left_out_with_the_line_that_takes_it_in(tmp_pa
     header = HEADERS["ISO, bracketed units, ECI"] | triple("mag2_x_uT mag2_y_uT mag2_z_uT", 2e-3 * MAG)
     data, path = table(tmp_path / "foreign.csv", header), tmp_path / "map.toml"
     text = draft([data])
-    path.write_text(text)
+    path.write_text(text, encoding="utf-8")
     assert read_telemetry(data, column_map=path).mag2_B_nT is None
-    path.write_text(re.sub("# left out, a second mag: .*; if of another sensor: ", "", text))
+    path.write_text(re.sub("# left out, a second mag: .*; if of another sensor: ", "", text), encoding="utf-8")
     assert np.allclose(read_telemetry(data, column_map=path).mag2_B_nT, 2.0 * MAG, atol=1e-6, rtol=0)
 
 
@@ -214,9 +214,11 @@ def test_a_draft_is_written_whatever_is_understood_and_says_what_to_fill_in(tmp_
     text = draft([table(tmp_path / "b.csv", shuffled)])
     assert f"{CONFIRM} no column looks like time: write it" in text and '\n# time = { recipe = "iso", columns' in text
     assert 'mag = { from = ["mag_x", "mag_y", "mag_z"], unit = "nT" }' in text and "# not used: n" in text
-    (tmp_path / "m.toml").write_text(text.replace("# time = ", "time = ").replace("iso", "unix_s").replace("NAME", "n"))
+    (tmp_path / "m.toml").write_text(
+        text.replace("# time = ", "time = ").replace("iso", "unix_s").replace("NAME", "n"), encoding="utf-8"
+    )
     assert load_column_map(tmp_path / "m.toml").file[0].columns["mag"].unit == "nT"
-    (tmp_path / "m.toml").write_text(text)
+    (tmp_path / "m.toml").write_text(text, encoding="utf-8")
     with pytest.raises(BadInput, match="time"):
         load_column_map(tmp_path / "m.toml")
 
@@ -226,13 +228,14 @@ def test_elements_beside_the_tables_give_the_positions(tmp_path: Path) -> None:
     assert 'tle = "satellite.tle"' in draft([data])
     (tmp_path / "s.tle").write_text(
         "1 64559U 25135AH  25353.22331108  .00001201  00000+0  12504-3 0  9991\n"
-        "2 64559  97.7592 104.5218 0002960 121.2529 238.8980 14.91647938 27010\n"
+        "2 64559  97.7592 104.5218 0002960 121.2529 238.8980 14.91647938 27010\n",
+        encoding="utf-8",
     )
-    (tmp_path / "m.toml").write_text(draft([data]))
+    (tmp_path / "m.toml").write_text(draft([data]), encoding="utf-8")
     record = read_telemetry(data, column_map=tmp_path / "m.toml")  # of another year: a notice, no error
     assert record.r_N_km is not None and np.allclose(record.mag_B_nT, MAG, atol=1e-6)
     assert f"{CONFIRM} mag: that gas_x, gas_y, gas_z are one (by their size)" in draft([data])
-    (tmp_path / "other.tle").write_text("")
+    (tmp_path / "other.tle").write_text("", encoding="utf-8")
     assert 'here `tle = "satellite.tle"`, of other.tle, s.tle' in draft([data])
 
 
@@ -248,13 +251,13 @@ def test_a_workbook_with_names_of_months_and_a_table_of_rows_out_of_order(tmp_pa
     text = draft([tmp_path / "all.xlsx"])
     assert 'columns = ["Date", "UTC"], format = "%d-%b-%Y %H:%M:%S.%f"' in text
     assert 'driver_i_cool_ma = { from = "I_COOL_mA", unit = "mA" }' in text and "counts by their name" in text
-    (tmp_path / "m.toml").write_text(text)
+    (tmp_path / "m.toml").write_text(text, encoding="utf-8")
     record = read_telemetry(tmp_path / "all.xlsx", column_map=tmp_path / "m.toml")
     assert np.array_equal(record.time, TIME) and np.allclose(record.mag_B_nT, np.round(MAG * 0.075))
     j2000 = GPS + 315964800.0 + 32.184 + 19.0 - 946728000.0  # TT of GPS, from noon of 2000-01-01
     twice = np.r_[np.arange(150), np.arange(140, 200)]
     rows = {"t_j2000": j2000[twice], **triple("magX magY magZ", MAG[twice])}
-    (tmp_path / "m.toml").write_text(text := draft([table(tmp_path / "a.csv", rows)]))
+    (tmp_path / "m.toml").write_text(text := draft([table(tmp_path / "a.csv", rows)]), encoding="utf-8")
     assert f"{CONFIRM} that rows are out of order, or repeated\nsort = true" in text
     assert np.abs(
         read_telemetry(tmp_path / "a.csv", column_map=tmp_path / "m.toml").time - TIME
@@ -291,8 +294,8 @@ def test_what_all_pieces_have_is_said_once(tmp_path: Path) -> None:
     for k in range(4):
         part = {name: column[45 * k : 45 * k + 45] for name, column in HEADERS["ISO, bracketed units, ECI"].items()}
         path = table(tmp_path / f"log_{k}.csv", part)
-        path.write_text(path.read_text().replace(",", ";"))
-    (tmp_path / "map.toml").write_text(draft([tmp_path]))
+        path.write_text(path.read_text(encoding="utf-8").replace(",", ";"), encoding="utf-8")
+    (tmp_path / "map.toml").write_text(draft([tmp_path]), encoding="utf-8")
     record = read_telemetry(tmp_path, column_map=tmp_path / "map.toml")
     assert len(record) == 180
     assert record.provenance["notices"].count("separated by semicolons") == 1
@@ -305,7 +308,7 @@ def test_ephemerides_state_their_frame(tmp_path: Path) -> None:
     stamps = np.datetime_as_string(TIME, unit="ms")
     rows = "\n".join(f"{t} {' '.join(map(str, [*r, *v]))}" for t, r, v in zip(stamps, R, V, strict=True))
     span = f"START_TIME = {stamps[0]}\nSTOP_TIME = {stamps[-1]}\nMETA_STOP\n"
-    (tmp_path / "orbit.oem").write_text(f"CCSDS_OEM_VERS = 2.0\nORIGINATOR = T\n{head}{span}{rows}\n")
+    (tmp_path / "orbit.oem").write_text(f"CCSDS_OEM_VERS = 2.0\nORIGINATOR = T\n{head}{span}{rows}\n", encoding="utf-8")
     text = draft([tmp_path])
     assert 'frame = "ITRS"' in text or 'frame = "ITRF"' in text
     assert not any(line.startswith(CONFIRM) and "position" in line for line in text.splitlines())
@@ -323,8 +326,8 @@ def test_states_exactly_as_far_apart_as_allowed_are_bridged(tmp_path: Path) -> N
     head = "META_START\nOBJECT_NAME = X\nOBJECT_ID = 1\nCENTER_NAME = EARTH\nREF_FRAME = GCRF\nTIME_SYSTEM = TAI\n"
     rows = "\n".join(f"{t} {' '.join(map(str, [*a, *b]))}" for t, a, b in zip(tai, r[::30], v[::30], strict=True))
     span = f"START_TIME = {tai[0]}\nSTOP_TIME = {tai[-1]}\nMETA_STOP\n"
-    (tmp_path / "orbit.oem").write_text(f"CCSDS_OEM_VERS = 2.0\nORIGINATOR = T\n{head}{span}{rows}\n")
-    (tmp_path / "map.toml").write_text(draft([tmp_path]))
+    (tmp_path / "orbit.oem").write_text(f"CCSDS_OEM_VERS = 2.0\nORIGINATOR = T\n{head}{span}{rows}\n", encoding="utf-8")
+    (tmp_path / "map.toml").write_text(draft([tmp_path]), encoding="utf-8")
     record = read_telemetry(tmp_path, column_map=tmp_path / "map.toml")
     assert record.has_position.all() and record.r_N_km is not None
     assert np.abs(record.r_N_km - r).max() < 0.001
@@ -343,7 +346,8 @@ def one(tmp_path: Path, attitude: str, columns: dict[str, np.ndarray], frame: st
     (tmp_path / "map.toml").write_text(
         '[[file]]\ntime = { recipe = "unix_s", columns = "t" }\n[file.columns]\n'
         'mag = { from = ["bx", "by", "bz"], unit = "nT" }\n'
-        f'position = {{ from = ["x", "y", "z"], unit = "km", frame = "{frame}" }}\n{attitude}\n'
+        f'position = {{ from = ["x", "y", "z"], unit = "km", frame = "{frame}" }}\n{attitude}\n',
+        encoding="utf-8",
     )
     return tmp_path / "map.toml"
 
@@ -389,7 +393,7 @@ def test_a_near_miss_is_answered(tmp_path: Path, attitude: str, frame: str, said
 )
 def test_a_bare_time_column_is_answered_with_an_example(tmp_path: Path, time: str, said: str) -> None:
     (tmp_path / "map.toml").write_text(
-        f'[[file]]\ntime = {time}\n[file.columns]\nmag = {{ from = ["a", "b", "c"], unit = "nT" }}\n'
+        f'[[file]]\ntime = {time}\n[file.columns]\nmag = {{ from = ["a", "b", "c"], unit = "nT" }}\n', encoding="utf-8"
     )
     with pytest.raises(BadInput) as caught:
         load_column_map(tmp_path / "map.toml")
@@ -463,7 +467,7 @@ def test_a_folder_with_a_packet_a_file(tmp_path: Path) -> None:
     table(tmp_path / "GPS.csv", {"MJD": UNIX / 86400.0 + 40587.0, **triple("X_m Y_m Z_m", r_E)})
     power = {"I_SA": UNIX * 0.0 + 900.0, "I_BAT": UNIX * 0.0 - 0.2, "I_TX": UNIX % 7.0, "T_MAG": UNIX * 0.0 + 20.0}
     table(tmp_path / "eps.csv", {"t_ms": UNIX * 1e3, **power})
-    (tmp_path / "README.txt").write_text("Hello.\n\n")
+    (tmp_path / "README.txt").write_text("Hello.\n\n", encoding="utf-8")
     assert main(["map", str(tmp_path), "--out", str(tmp_path / "map.toml")]) == 0
     record = read_telemetry(tmp_path, column_map=tmp_path / "map.toml")
     assert np.allclose(record.mag_B_nT, MAG, atol=1e-6) and len(record) == len(TIME)
@@ -491,12 +495,12 @@ def test_a_workbook_with_a_sheet_a_packet(tmp_path: Path) -> None:
     assert [one.name for one in fluxtwin.info(tmp_path / "all.xlsx").columns][2] == "ATT: TAI2000 [s]"
     text = draft([tmp_path / "all.xlsx"])
     assert "# INFO: left out" in text and 'sheet = "MAGI"' in text
-    (tmp_path / "m.toml").write_text(text)
+    (tmp_path / "m.toml").write_text(text, encoding="utf-8")
     record = read_telemetry(tmp_path / "all.xlsx", column_map=tmp_path / "m.toml")
     assert np.abs(record.time - TIME).max() < np.timedelta64(1, "us")
     assert np.allclose(record.mag_B_nT, MAG, atol=1e-6) and np.allclose(record.mag2_B_nT, 2.0 * MAG, atol=1e-6)
     assert (frames.rotation_from_q(np.array(record.q_NB)) * R_BN.inv()).magnitude().max() < 1e-6
-    (tmp_path / "m.toml").write_text(text.replace('"MAGI"', '"MAGX"'))
+    (tmp_path / "m.toml").write_text(text.replace('"MAGI"', '"MAGX"'), encoding="utf-8")
     with pytest.raises(BadInput, match=r"no sheet 'MAGX'\. Wanted: INFO, ATT, ORB, MAGM, MAGI"):
         read_telemetry(tmp_path / "all.xlsx", column_map=tmp_path / "m.toml")
 
@@ -506,7 +510,7 @@ def test_an_attitude_in_rows_of_its_own_is_brought_onto_the_readings(tmp_path: P
     mag, q = np.where(even[:, None], MAG, np.nan), np.where(even[:, None], np.nan, Q)
     columns = {"unix_s": UNIX, **triple("mag_x_nT mag_y_nT mag_z_nT", mag), **triple("q_x q_y q_z q_w", q)}
     data = table(tmp_path / "a.csv", columns)
-    (tmp_path / "m.toml").write_text(draft([data]))
+    (tmp_path / "m.toml").write_text(draft([data]), encoding="utf-8")
     record = read_telemetry(data, column_map=tmp_path / "m.toml")
     both = record.has_reading & record.has_attitude
     assert both.sum() > 90  # of 100, all but the ends

@@ -41,7 +41,7 @@ def maps(tmp_path: Path) -> tuple[Path, Path]:
     (padre,) = [text for text in shown if "satellite.tle" in text]
     (elfin,) = [text for text in shown if "position_gei" in text]
     for name, text in (("padre", padre.replace("satellite.tle", "20251219_padre.tle")), ("elfin", elfin)):
-        (tmp_path / f"{name}.toml").write_text(text)
+        (tmp_path / f"{name}.toml").write_text(text, encoding="utf-8")
     return tmp_path / "padre.toml", tmp_path / "elfin.toml"
 
 
@@ -86,7 +86,8 @@ def test_gnss_packets_with_gps_weeks_and_metres(shared: Path, tmp_path: Path, cl
     (tmp_path / "map.toml").write_text(
         '[[file]]\ntime = { recipe = "gps_week_tow", columns = ["week", "seconds"] }\nsort = true\n[file.columns]\n'
         'mag = { from = ["vx", "vy", "vz"], unit = "nT" }\n'  # no magnetometer in this packet: a stand-in
-        'position = { from = ["px", "py", "pz"], unit = "m", frame = "ITRS" }\n'
+        'position = { from = ["px", "py", "pz"], unit = "m", frame = "ITRS" }\n',
+        encoding="utf-8",
     )
     read = read_telemetry(shared / "flight" / "padre" / name, column_map=tmp_path / "map.toml")
     ground = np.datetime64(1762025414752, "ms")
@@ -121,7 +122,7 @@ def test_elfin_counts_sold_as_nT_are_named(
 ) -> None:
     path = shared / "flight" / "elfin_a_20220112.nc"
     sold = tmp_path / "sold.toml"
-    sold.write_text(maps[1].read_text().replace(", scale = 0.01", ""))
+    sold.write_text(maps[1].read_text(encoding="utf-8").replace(", scale = 0.01", ""), encoding="utf-8")
     found = check_file(path, model, column_map=sold)
     assert found.exit_status == 1
     assert [finding.code for finding in found.traps] == ["magnetometer_unit"]
@@ -134,7 +135,8 @@ def test_elfin_counts_sold_as_nT_are_named(
 
 def test_elfin_counts_without_positions_are_named(shared: Path, model: FieldModel, tmp_path: Path) -> None:
     (tmp_path / "map.toml").write_text(
-        '[[file]]\ntime = { recipe = "cf", columns = "time" }\n[file.columns]\nmag = { from = "B_raw", unit = "nT" }\n'
+        '[[file]]\ntime = { recipe = "cf", columns = "time" }\n[file.columns]\nmag = { from = "B_raw", unit = "nT" }\n',
+        encoding="utf-8",
     )
     path = shared / "flight" / "elfin_a_20190721_raw_no_position.nc"
     found = check_file(path, model, column_map=tmp_path / "map.toml")

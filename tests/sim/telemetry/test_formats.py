@@ -280,7 +280,7 @@ def test_cdf_as_missions_write_it(tmp_path: Path) -> None:
     assert [str(t)[:23] for t in table.times()] == stamps
     assert np.isnan(table.numbers("B_VFM")[1, 0]) and table.units["B_VFM"] == "nT"
     (tmp_path / "m.toml").write_text(
-        '[[file]]\ntime = { recipe = "cf" }\n[file.columns]\nmag = { from = "B_VFM", unit = "nT" }\n'
+        '[[file]]\ntime = { recipe = "cf" }\n[file.columns]\nmag = { from = "B_VFM", unit = "nT" }\n', encoding="utf-8"
     )
     found = fluxtwin.read(tmp_path / "s.cdf", column_map=tmp_path / "m.toml")
     assert list(found.has_reading) == [True, False, True] and found.mag_B_nT[2, 1] == 5e4

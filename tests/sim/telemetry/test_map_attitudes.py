@@ -51,14 +51,17 @@ def read(folder: Path, spec: str, columns: np.ndarray, mag: np.ndarray | None = 
     rows = [",".join([f"{t}Z", *map(repr, row)]) for t, row in zip(TIME.astype(str), table.tolist(), strict=True)]
     (folder / "t.csv").write_text("\n".join([head, *rows, ""]), encoding="utf-8")
     listed = ", ".join(f'"{name}"' for name in names)
-    (folder / "m.toml").write_text(f"""[[file]]
+    (folder / "m.toml").write_text(
+        f"""[[file]]
 time = {{ recipe = "iso", columns = "t" }}
 [file.columns]
 mag = {{ from = ["bx", "by", "bz"], unit = "nT" }}
 position = {{ from = ["rx", "ry", "rz"], unit = "km", frame = "GCRS" }}
 velocity = {{ from = ["vx", "vy", "vz"], unit = "km/s", frame = "GCRS" }}
 attitude = {{ from = [{listed}], {spec} }}
-""")
+""",
+        encoding="utf-8",
+    )
     return fluxtwin.read(folder / "t.csv", column_map=folder / "m.toml")
 
 

@@ -47,7 +47,10 @@ def test_every_preset_is_valid_and_described(cli: Cli, root: Path, tmp_path: Pat
         assert cli("map", "--preset", name, "--out", tmp_path / f"{name}.toml").status == 0
         assert load_column_map(tmp_path / f"{name}.toml") == load_column_map(f"preset:{name}")
     listed = cli("map", "--preset", "list", "--json", tmp_path / "l.json")
-    assert "preset:swarm" in listed.out and json.loads((tmp_path / "l.json").read_text())["presets"] == presets()
+    assert (
+        "preset:swarm" in listed.out
+        and json.loads((tmp_path / "l.json").read_text(encoding="utf-8"))["presets"] == presets()
+    )
     with pytest.raises(BadInput, match=r"no preset 'swarmm'.*preset:swarm"):
         load_column_map("preset:swarmm")
     assert cli("map").status == 2

@@ -188,7 +188,7 @@ def test_spellings_that_must_not_matter(tmp_path: Path) -> None:
 
 def test_a_last_row_without_line_end_is_left_out_with_a_notice(tmp_path: Path) -> None:
     path = tmp_path / "cut.csv"
-    path.write_text("\n".join(plain_lines())[:-3])
+    path.write_text("\n".join(plain_lines())[:-3], encoding="utf-8")
     read = read_telemetry(path)
     assert len(read) == 3
     assert "last row has no line end" in read.provenance["notices"]
@@ -541,7 +541,7 @@ def test_a_netcdf_3_file_is_named(tmp_path: Path) -> None:
 def test_two_line_elements_give_the_position_a_file_lacks(tmp_path: Path) -> None:
     line1 = "1 25544U 98067A   08264.51782528 -.00002182  00000-0 -11606-4 0  2927"
     line2 = "2 25544  51.6416 247.4627 0006703 130.5360 325.0288 15.72125391563537"
-    (tmp_path / "iss.tle").write_text(f"{line1}\n{line2}\n")
+    (tmp_path / "iss.tle").write_text(f"{line1}\n{line2}\n", encoding="utf-8")
     lines = [",".join(line.split(",")[:1] + line.split(",")[4:7]) for line in plain_lines()]
     lines = [line.replace("1978-07-24", "2008-09-20") for line in lines]
     read = read_telemetry(save(tmp_path, lines), tle=tmp_path / "iss.tle")

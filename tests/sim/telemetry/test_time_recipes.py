@@ -41,7 +41,9 @@ def read(folder: Path, recipe: str, *columns: list[object]) -> np.ndarray:
     names = '["c0", "c1"]' if "BOTH" in recipe else '"c0"'
     mag = 'mag = { from = ["x", "y", "z"], unit = "nT" }'
     inner = recipe.replace(" BOTH", "")
-    (folder / "m.toml").write_text(f"[[file]]\ntime = {{ columns = {names}, {inner} }}\n[file.columns]\n{mag}\n")
+    (folder / "m.toml").write_text(
+        f"[[file]]\ntime = {{ columns = {names}, {inner} }}\n[file.columns]\n{mag}\n", encoding="utf-8"
+    )
     return fluxtwin.read(folder / "t.csv", column_map=folder / "m.toml").time
 
 

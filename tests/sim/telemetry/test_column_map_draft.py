@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shlex
 from collections.abc import Callable
 from pathlib import Path
 
@@ -287,7 +288,7 @@ def test_axes_and_weeks_of_other_names_are_found_and_doubts_said(tmp_path: Path)
 def test_a_folder_of_pieces_is_to_be_checked_as_a_folder(tmp_path: Path) -> None:
     for name in ("log_1.csv", "log_2.csv"):
         table(tmp_path / name, HEADERS["ISO, bracketed units, ECI"])
-    assert f"fluxtwin check {tmp_path} --map" in draft([tmp_path])
+    assert f"fluxtwin check {shlex.quote(str(tmp_path))} --map" in draft([tmp_path])
 
 
 def test_what_all_pieces_have_is_said_once(tmp_path: Path) -> None:

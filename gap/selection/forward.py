@@ -1,9 +1,9 @@
 """Which effects: forward selection by score tests and refits in the nonlinear chain, and backward elimination.
 
 One effect is sought first; others are sought given its refit (a large lag is not linear, and tested at zero it would call
-for partners), and a wrong first pick is taken out again when others have made it needless. A setting of which only a few
-values were tried is moved where the data want it. Sets are compared by the one criterion, with prior 1/K for each effect
-among K alternatives tested.
+for partners). When one more is significant, pairs (and triples) are ranked afresh, so that a wrong first pick can be
+undone; before that, a setting of which only a few values were tried is moved where the data want it. Sets are compared by
+the one criterion, with prior 1/K for each effect among K alternatives tested.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from fluxtwin.gap.hypotheses.candidates import Candidate
-from fluxtwin.gap.linear.projection import orthonormal
+from fluxtwin.gap.linear.projection import SHARE_LEFT, explained, orthonormal
 from fluxtwin.gap.selection.criterion import GATE, penalty
 from fluxtwin.gap.selection.refit import Channel, Fit, refit
 from fluxtwin.gap.selection.score import Board, board, whitened
@@ -25,7 +25,6 @@ from fluxtwin.sim.effects.calibration import Step
 from fluxtwin.sim.effects.signal import Setting
 
 LARGEST = 3
-"""Causes, waveforms, or names that an unknown one resembles, at the most."""
 WITHIN = 8.0
 NONLINEAR = 0.2
 """A candidate is refitted if its linear score comes within the first, or this share, of the best: so much of a drop may be
@@ -241,12 +240,41 @@ def _grown(search: Search[Any], fit: Fit, rest: Board) -> Fit | None:
     pairs = [(place, partner) for place, partner in pairs if not search.same_cause([*present, partner])][:3]
     thetas = [theta for _, theta in fit.chosen]
     trials = [search.fit([*present, partner], [*thetas, rest.estimate([place])[0]]) for place, partner in pairs]
+    afresh = _afresh(search, len(present) + 1, present, [partner for _, partner in pairs])
+    trials += [search.fit(numbers, search.first.estimate(numbers)) for numbers in afresh]
     if not trials:
         return None
     best = min(trials, key=lambda trial: search.cost(trial, rest.variance))
     gain, rank = fit.chi2 - best.chi2, max(best.rank_chosen - fit.rank_chosen, 1)
     significant = search.tested * rest.p_value(gain, rank) < GATE
     return best if significant and search.cost(best, rest.variance) < search.cost(fit, rest.variance) else None
+
+
+def _afresh(search: Search[Any], size: int, present: Sequence[int], partners: Sequence[int]) -> list[list[int]]:
+    """The two best sets of `size` effects at zero: all pairs; for triples, a beam of pairs with every third."""
+    scored = search.first
+    if size == 2:
+        seeds = [[n] for n in range(len(search.found)) if scored.rank[n] > 0]
+    else:
+        seeds = [[a, b] for a in [*present, *partners] for b in [*present, *partners] if a < b]
+    ranked: list[tuple[float, list[int]]] = []
+    for seed in seeds:
+        drop, rank = scored.given(seed)
+        inside = np.isin(scored.block, seed)
+        own = float(scored.statistic[seed[0]])
+        if len(seed) > 1:
+            own, _ = explained(scored.unit_gram[np.ix_(inside, inside)], scored.score[inside], SHARE_LEFT)
+        whole = (own + drop) / scored.variance
+        cost = -whole + penalty(int(inside.sum()) + rank, whole, search.samples)
+        names = {search.found[n].name for n in seed}
+        free = [n for n in np.argsort(cost)[:3] if rank[n] > 0 and search.found[n].name not in names]
+        ranked += [(float(cost[n]), sorted([*seed, int(n)])) for n in free]
+    ranked.sort(key=lambda pair: pair[0])
+    distinct: list[list[int]] = []
+    for _, numbers in ranked:
+        if numbers not in distinct and not search.same_cause(numbers):
+            distinct.append(numbers)
+    return distinct[:2]
 
 
 def _eliminated(search: Search[Any], fit: Fit, rest: Board) -> Fit:

@@ -19,7 +19,7 @@ from fluxtwin.gap.hypotheses.candidates import Candidate, settings_of
 from fluxtwin.gap.linear.projection import SHARE_LEFT, Whitens, explained, orthonormal, projected_out
 from fluxtwin.gap.noise.budget import NOISE_LOG_SD
 from fluxtwin.gap.records.diagnosis import Score
-from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.effects.base import Effect
 
 ALIKE = 0.98
@@ -212,12 +212,40 @@ class Board:
             found.append(Score(candidate.label, candidate.effect, score, information))
         return found
 
-    def estimate(self, numbers: Sequence[int]) -> list[FloatArray]:
-        """Linear estimate of the parameters of the candidates in `numbers`, jointly; zero where nothing is seen."""
+    def _modes(self, numbers: Sequence[int]) -> tuple[BoolArray, FloatArray, FloatArray]:
+        """(R,) directions of these candidates; what can be seen of all of them together, values (r,) and vectors."""
         inside = np.isin(self.block, numbers)
         values, vectors = np.linalg.eigh(self.unit_gram[np.ix_(inside, inside)])
-        seen = values > self.share_left
-        along = vectors[:, seen] @ ((vectors[:, seen].T @ self.score[inside]) / values[seen])
+        good = values > self.share_left
+        return inside, values[good], vectors[:, good]
+
+    def given(self, numbers: Sequence[int]) -> tuple[FloatArray, NDArray[np.intp]]:
+        """(K,) further drop of chi-square by each candidate once those of `numbers` are in, and its rank then."""
+        inside, values, vectors = self._modes(numbers)
+        basis = vectors / np.sqrt(values)
+        mixed = basis.T @ self.unit_gram[inside]
+        score = self.score - mixed.T @ (basis.T @ self.score[inside])
+        return self._drops(mixed, score, np.asarray(numbers))
+
+    def _drops(self, mixed: FloatArray, score: FloatArray, numbers: FloatArray) -> tuple[FloatArray, NDArray[np.intp]]:
+        drop, rank = np.zeros(len(self.candidates)), np.zeros(len(self.candidates), dtype=np.intp)
+        start = np.concatenate([[0], np.cumsum(self.rank)])[:-1]
+        for size in np.unique(self.rank[self.rank > 0]):
+            members = np.flatnonzero((self.rank == size) & ~np.isin(np.arange(len(drop)), numbers))
+            index = start[members][:, None] + np.arange(size)
+            part = mixed[:, index].transpose(1, 0, 2)
+            left = np.eye(size) - part.transpose(0, 2, 1) @ part
+            values, vectors = np.linalg.eigh(left)
+            along = np.einsum("kij,ki->kj", vectors, score[index])
+            seen = values > self.share_left
+            drop[members] = np.where(seen, along**2 / np.where(seen, values, 1.0), 0.0).sum(axis=1)
+            rank[members] = seen.sum(axis=1)
+        return drop, rank
+
+    def estimate(self, numbers: Sequence[int]) -> list[FloatArray]:
+        """Linear estimate of the parameters of the candidates in `numbers`, jointly; zero where nothing is seen."""
+        inside, values, vectors = self._modes(numbers)
+        along = vectors @ ((vectors.T @ self.score[inside]) / values)
         scaled = self.turn[:, inside] @ along / self.lengths
         estimates = []
         for number in numbers:

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import dataclasses
 from functools import cache
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -29,6 +31,7 @@ from fluxtwin.gap.selection.interval import likeliest_interval
 from fluxtwin.gap.selection.named import SearchResult
 from fluxtwin.gap.selection.refit import Readings, refit, settled
 from fluxtwin.gap.selection.score import board
+from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.earth.field import load_field
 from fluxtwin.sim.effects.ambient_field import RingCurrent
@@ -37,7 +40,7 @@ from fluxtwin.sim.effects.calibration import BiasStep
 from fluxtwin.sim.effects.catalogue import find_effect
 from fluxtwin.sim.effects.chain import Active, jacobian
 from fluxtwin.sim.effects.clock_and_orbit import TimeTagOffset
-from fluxtwin.sim.effects.response import Hysteresis, Saturation
+from fluxtwin.sim.effects.response import Hysteresis
 from fluxtwin.sim.effects.switched_field import SwitchedField
 from fluxtwin.sim.run.simulate import simulate
 from fluxtwin.sim.scenario.scenario import parse_scenario
@@ -216,6 +219,25 @@ def test_large_lag_needs_no_partner() -> None:
     assert abs(entry.theta[0] - 50.0) < 4.0 * np.sqrt(entry.covariance[0, 0])
 
 
+def test_what_a_candidate_explains_beside_others_is_the_drop_of_least_squares(close: Any) -> None:
+    """Of three with one, two and two columns, of which each makes a part of the others."""
+    rng = np.random.default_rng(3)
+    white = rng.standard_normal((30, 3, 5)) + 2.0 * rng.standard_normal((30, 3, 1))
+    y, calibration = rng.standard_normal((30, 3)), rng.standard_normal((30, 3, 4))
+    sizes = (1, 2, 2)
+    each: Any = [SimpleNamespace(name=name, live=np.ones(k, dtype=bool)) for name, k in zip("abc", sizes, strict=True)]
+    drop, rank = board(each, white, y, calibration, 90).given([1])
+
+    def chi2(columns: FloatArray) -> float:
+        x = np.concatenate([calibration, columns], axis=2).reshape(90, -1)
+        return float(np.sum((y.ravel() - x @ np.linalg.lstsq(x, y.ravel(), rcond=None)[0]) ** 2))
+
+    beside = white[:, :, 1:3]
+    wanted = [chi2(beside) - chi2(np.concatenate([beside, white[:, :, part]], axis=2)) for part in ([0], [3, 4])]
+    close(drop[[0, 2]], wanted, atol=1e-8, unit="1", because="rounding")
+    assert rank.tolist() == [1, 0, 2]
+
+
 def test_a_perfect_simulation_gets_no_name_score() -> None:
     """500 draws of noise alone through the score test: the gate lets at most 2 in 1000 pass, so more than 5 have
     probability 6e-4. A gate without the penalty of the search would pass more than 10."""
@@ -358,13 +380,3 @@ def test_a_field_that_was_on_for_one_stretch_is_found_and_a_step_is_none() -> No
 def test_the_scale_of_a_candidate_is_that_of_its_parameters() -> None:
     one = Candidate(Hysteresis(), np.zeros((1, 3, 1)), np.ones(1, dtype=bool))
     assert one.scale.tolist() == [parameter.scale for parameter in Hysteresis().parameters]
-
-
-@pytest.mark.parametrize("flown_nT", [0.0, 3000.0])
-def test_no_fit_ends_worse_than_without_the_effect(flown_nT: float) -> None:
-    """A clip so deep that it cuts most of the field is far on the wrong side of the truth, and no slope leads back."""
-    here, clip = design("tumble"), Saturation(full_scale_nT=46_000.0)
-    data = Readings(here.data([(clip, np.array([flown_nT]))], seed=6), here.whitener)
-    for depth_nT in (500.0, 8000.0, 45_000.0):
-        fit = refit(data, [(clip, np.array([depth_nT]))])
-        assert fit.chi2 <= refit(data).chi2 + 1e-6

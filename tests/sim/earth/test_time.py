@@ -84,7 +84,7 @@ def test_day_counts_of_the_field_models(close):
     ],
 )
 def test_what_is_no_time_is_refused(text):
-    with pytest.raises(BadInput, match=r"no time|out of range"):
+    with pytest.raises(BadInput, match=r"not a time|out of range"):
         epoch.parse_time(text, where="row 3")
 
 

@@ -38,7 +38,7 @@ from fluxtwin.gap.problem.start import start_without_attitude
 from fluxtwin.gap.records.diagnosis import Detectable, Diagnosis, Place
 from fluxtwin.gap.report import input_warnings, level, second_channel, verdict, words
 from fluxtwin.gap.report.verdict import Work
-from fluxtwin.gap.selection.criterion import THRESHOLD
+from fluxtwin.gap.selection.criterion import FEWEST, THRESHOLD
 from fluxtwin.gap.selection.detectable import Hiding, detectable
 from fluxtwin.gap.selection.refit import Readings, refit, settled
 from fluxtwin.sim.base.errors import NoAnswer
@@ -57,8 +57,6 @@ _REPEATED = 0.5
 the reading moves by about a step from row to row (Widrow & Kollar 2008, Quantization Noise, chapter 20)."""
 _FEWEST_ROWS = 200
 """Rows that thinning leaves at the least: several for each of some fifteen parameters of a usual problem."""
-_LEAST_FREE = 30
-"""Measurements beyond the parameters: a variance is then known to a quarter, sqrt(2 / 30)."""
 _PART_OF_SIGMA = 0.5
 """By which the size of an effect may be off because S was not quite right: the error is then at most 12 % larger."""
 _BOUNDLESS_RAD = 1.0
@@ -357,7 +355,7 @@ def _repeated(mag_B_nT: FloatArray) -> float:
 
 
 def _require_rows(problem: Problem) -> None:
-    wanted = -(-(problem.nuisance.shape[2] + _LEAST_FREE) // 3) + 10
+    wanted = -(-(problem.nuisance.shape[2] + FEWEST) // 3) + 10
     whole = int(problem.measured.sum()) // 3  # rows of three components that are worth as many as are compared
     if whole < wanted:
         plain = problem.axes is None

@@ -15,7 +15,9 @@ from functools import cached_property
 from typing import cast
 
 import numpy as np
+from scipy.stats import norm
 
+from fluxtwin.calib.common.criterion import FALSE_ALARM
 from fluxtwin.gap.channels import momentum_images as images
 from fluxtwin.gap.channels.momentum_arcs import Windows
 from fluxtwin.gap.channels.momentum_noise import MomentumWhitener, choose_noise
@@ -35,8 +37,8 @@ from fluxtwin.sim.spacecraft.dynamics.vehicle import Vehicle
 _AHEAD = AlongTrackError.name
 _LATE = (TimeTagOffset.name, SensorLag.name)
 """What moves the readings as an error along the orbit does, and no torque."""
-_AGAINST, _FOR = 3.89, 2.58
-"""Sigma: beyond the first (1e-4) a value is not there, within the second (0.01) it may be."""
+_AGAINST, _FOR = (float(norm.isf(0.5 * level)) for level in (FALSE_ALARM**2, FALSE_ALARM))
+"""Sigma: beyond the first a value is not there, within the second it may be."""
 
 
 @dataclass(frozen=True)

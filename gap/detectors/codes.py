@@ -10,6 +10,7 @@ from scipy.special import gammaln
 
 from fluxtwin.gap.detectors.finding import Finding
 from fluxtwin.gap.noise.robust_rows import CUT_SIGMA
+from fluxtwin.gap.selection.criterion import FEWEST
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.effects.digits import BitErrors, CoarseQuantization
 
@@ -18,7 +19,6 @@ _MOST = 0.9
 """Share of the readings that sit on a coarser step: the rest may have bit errors."""
 _MOST_SPIKES = 0.8  # share of the spikes that are one bit, or the same bit
 _OFF = 0.02  # of a step: readings this near to a multiple sit on it, 4 % by chance
-_FEWEST = 30  # readings from which a step can be found
 
 
 def coarse_steps(reading_nT: FloatArray, declared_lsb_nT: float | None) -> Finding | None:
@@ -32,7 +32,7 @@ def coarse_steps(reading_nT: FloatArray, declared_lsb_nT: float | None) -> Findi
     spacing = np.diff(np.unique(np.round(values, 4)))
     floor = max(1.05 * declared_lsb_nT, 1e-3)
     spacing = spacing[spacing > floor]
-    if values.size < _FEWEST or not spacing.size:
+    if values.size < FEWEST or not spacing.size:
         return None
     sizes, counts = np.unique(np.round(spacing, 2), return_counts=True)
     best = (0.0, 0.0)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
+from fluxtwin.calib.common.criterion import FALSE_ALARM
 from fluxtwin.gap.detectors.finding import Finding
 from fluxtwin.gap.detectors.waveforms import Fitted, does_as_well, drivers, fitted, in_parts, stands_out, varies
 from fluxtwin.gap.hypotheses.blocks import in_body
@@ -23,7 +24,6 @@ _FINE = 8  # grid cells a sample spacing for uneven stamps: the phase error at t
 _LONGEST = 1 << 23  # grid cells: half a gigabyte
 _FIRST_WIDTH = 0.35  # over the span
 _RATIOS = (2.0, 3.0, 4.0, 5.0, 6.0, 0.5, 1.0 / 3.0)
-_LINEAR_P = 0.05  # of the cross product of the two vectors of an ellipse
 
 
 @dataclass(frozen=True)
@@ -131,7 +131,7 @@ def _linear(found: Fitted) -> bool:
     derivative = np.concatenate([-_skew(b), _skew(a)], axis=1)
     scatter = derivative @ found.covariance @ derivative.T
     distance = float(across @ np.linalg.pinv(scatter, rcond=1e-6) @ across)
-    return bool(stats.chi2.sf(distance, 2) > _LINEAR_P)
+    return bool(stats.chi2.sf(distance, 2) > FALSE_ALARM)
 
 
 def _skew(v: FloatArray) -> FloatArray:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import stats
 
+from fluxtwin.calib.common.criterion import FALSE_ALARM
 from fluxtwin.gap.detectors.finding import Finding
 from fluxtwin.gap.detectors.waveforms import gaussian
 from fluxtwin.gap.hypotheses.blocks import in_body
@@ -26,7 +27,6 @@ _SIZES = np.geomspace(RMS[0], RMS[1], 60)
 _KNOTS = 48
 """Increments of the walk that are looked at."""
 _COME_BACK = (8.0, 16.0)  # half periods over the record
-_RARE_P = 0.005  # of an increment as large as the largest: so often is a true walk refused, at most
 
 
 def random_walk(seconds: FloatArray, left: ProjectedResidual, sigma_nT: float) -> Finding | None:
@@ -99,7 +99,7 @@ def _one_stands_out(gram: FloatArray, moment: FloatArray, size: float, between: 
     increments = paths @ (shrink * q)
     spread = np.sqrt(np.einsum("ij,j->i", paths**2, shrink**2 * (1 + size**2 * value)))
     largest = float(np.max(np.abs(increments) / np.maximum(spread, 1e-12)))
-    return bool(2 * stats.norm.sf(largest) * increments.size < _RARE_P)
+    return bool(2 * stats.norm.sf(largest) * increments.size < FALSE_ALARM)
 
 
 def jumps(seconds: FloatArray, left: ProjectedResidual, rate: float, variance: float) -> bool:

@@ -28,8 +28,6 @@ from fluxtwin.sim.spacecraft.sensors.magnetometer import Magnetometer
 
 _ROUNDS = 2
 """A change of S by 1 % moves an effect by 1 %, so the second fit is good to 1e-4 of it."""
-_UNSURE = 1.25
-"""How far to either side a setting is taken to be unsure."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +62,7 @@ def refined(closure: Closure) -> Closure:
         if effect.between(problem.setting, 1.0) is None:
             continue
         best = refit(readings, chosen, modelled=modelled)
-        for ratio in (*RATIOS, _UNSURE):
+        for ratio in RATIOS:
             for step in (ratio, 1.0 / ratio):
                 moved = best.chosen[number][0].between(problem.setting, step)
                 assert moved is not None
@@ -72,7 +70,7 @@ def refined(closure: Closure) -> Closure:
                 trial = refit(readings, start, modelled=best.modelled)
                 best = trial if trial.chi2 < best.chi2 else best
         chosen, modelled = list(best.chosen), best.modelled
-        near = [chosen[number][0].between(problem.setting, step) for step in (_UNSURE, 1.0 / _UNSURE)]
+        near = [chosen[number][0].between(problem.setting, step) for step in (RATIOS[1], 1.0 / RATIOS[1])]
         alternatives[number] = (*(one for one in near if isinstance(one, SignalEffect)), *alternatives[number])
     return dataclasses.replace(closure, chosen=tuple(chosen), modelled=modelled, alternatives=tuple(alternatives))
 

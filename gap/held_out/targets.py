@@ -15,6 +15,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from fluxtwin.gap.problem.problem import Problem
+from fluxtwin.gap.selection.criterion import FEWEST
 from fluxtwin.sim.attitude import record as attitude
 from fluxtwin.sim.attitude.libration import draw_libration
 from fluxtwin.sim.attitude.recorded_motion import RecordedMotion
@@ -39,7 +40,6 @@ _LIBRATION_RAD, _LIBRATION_S = np.radians(2.0), (600.0, 6000.0)
 _NUTATION_RAD = np.radians(5.0)
 _FOLLOWS = 0.5
 """Share of a column's variance that sunlight explains, to be called driven by it: most of it."""
-_FEWEST = 30
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +79,7 @@ def targets(problem: Problem) -> list[Target]:
     the field model's validity are left out.
     """
     known = problem.telemetry.has_attitude
-    if int(known.sum()) < _FEWEST:
+    if int(known.sum()) < FEWEST:
         return []
     flown = _cut(problem.setting, known)
     segment = problem.segment[known]
@@ -178,7 +178,7 @@ def _best_shape(column: FloatArray, shapes: Sequence[tuple[FloatArray, FloatArra
     known = np.isfinite(column)
     best, made = _FOLLOWS, None
     for here, there in shapes:
-        if known.sum() < _FEWEST or np.ptp(here[known]) == 0.0 or np.ptp(column[known]) == 0.0:
+        if known.sum() < FEWEST or np.ptp(here[known]) == 0.0 or np.ptp(column[known]) == 0.0:
             continue
         slope, level = np.polyfit(here[known], column[known], 1)
         explained = 1.0 - float(np.var(column[known] - slope * here[known] - level) / np.var(column[known]))

@@ -17,7 +17,6 @@ from fluxtwin.gap.noise.whitening import Whitener, full_weights, kernels
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 
 CUT_SIGMA = 6.0  # two of a thousand million good components are cut
-_DOUBT_SIGMA = 4.5  # from here to the cut a component loses weight; seven of a million good ones do
 _LARGEST_SHARE = 0.10  # of the rows: more are no spikes but something that the diagnosis must see
 _NEAR_ROWS = 7  # for the level around a component: three wrong ones of seven leave it
 _AROUND_ROWS = 25  # for the scatter around it
@@ -29,7 +28,7 @@ class RobustRows:
     """Weights of the components of N rows."""
 
     weights: FloatArray
-    """(N, 3): 1 good, 0 cut, between for doubtful ones. Give it to `make_whitener`."""
+    """(N, 3): 1 good, 0 cut. Give it to `make_whitener`."""
     difference_nT: FloatArray | None = None
     """(N, 3) each component less what the fit and all other readings predict for it."""
     measured: BoolArray | None = None
@@ -84,15 +83,14 @@ def _scatter(difference: FloatArray) -> FloatArray:
 
 
 def weights_of(distance: FloatArray, measured: BoolArray | None = None) -> FloatArray:
-    """(N, 3) weights from how far the components stand out: 1, less from 4.5 sigma, 0 from 6 sigma on.
+    """(N, 3) weights from how far the components stand out: 1, and 0 from 6 sigma on.
 
     At most a tenth of the rows is cut, those that stand out most. What is not measured (N, 3) has weight 0.
     """
-    weights = np.minimum(1.0, np.square(_DOUBT_SIGMA / np.maximum(distance, 1e-9)))
     worst = distance.max(axis=1)
     allowed = max(1, int(_LARGEST_SHARE * worst.size))
     bar = max(CUT_SIGMA, float(np.partition(worst, -allowed - 1)[-allowed - 1]) if worst.size > allowed else 0.0)
-    return np.where(distance > bar if measured is None else (distance > bar) | ~measured, 0.0, weights)
+    return np.where(distance > bar if measured is None else (distance > bar) | ~measured, 0.0, 1.0)
 
 
 def spike_weights(left_nT: FloatArray, whitener: Whitener, there: BoolArray) -> tuple[FloatArray, FloatArray]:
@@ -118,7 +116,7 @@ def first_weights(residual_nT: FloatArray, design: FloatArray, there: BoolArray)
     """
     for rounds in (1, _ROUNDS):
         left = residual_nT - design @ _fit(residual_nT[there], design[there], rounds)
-        weights = np.where(weights_of(standing_out(left, measured=there), there) > 0, 1.0, 0.0)
+        weights = weights_of(standing_out(left, measured=there), there)
         if (weights[there] > 0).all():
             break
     return weights

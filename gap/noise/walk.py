@@ -13,14 +13,13 @@ from collections.abc import Callable
 import numpy as np
 from scipy.optimize import minimize_scalar
 
+from fluxtwin.calib.common.criterion import THRESHOLD, worth
 from fluxtwin.gap.linear.projection import span_of
 from fluxtwin.gap.noise.whitening import Whitener, with_walk
 from fluxtwin.sim.base.types import FloatArray
 
 RMS = (0.003, 100.0)
 """Of the walk at the end of the record, over the noise of a reading: its prior is even in the logarithm between these."""
-_LEAST_EVIDENCE = 6.0
-"""In log likelihood: a factor of 400, as the rate is chosen among many."""
 _CLOSE = 0.02
 """In the logarithm of the rate: a fifth of its standard deviation where 50 modes of the walk show."""
 
@@ -39,7 +38,8 @@ def likeliest_rate(whitener: Whitener, residual_nT: FloatArray, fitted_nT: Float
 
     unit = whitener.noise.sigma_nT / np.sqrt(float(whitener.seconds[-1] - whitener.seconds[0]))
     found = minimize_scalar(lost, bounds=np.log(unit * np.array(RMS)), options={"xatol": _CLOSE})
-    return float(np.exp(found.x)) if -found.fun >= 2.0 * _LEAST_EVIDENCE else None
+    found_worth = worth(-float(found.fun), 1, max(whitener.measured / 3.0, 2.0), 0.0)
+    return float(np.exp(found.x)) if found_worth > THRESHOLD else None
 
 
 def gain(whitener: Whitener, residual_nT: FloatArray, fitted_nT: FloatArray, rate: float) -> float:

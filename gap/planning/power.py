@@ -23,11 +23,10 @@ from fluxtwin.gap.linear.projection import least_share, orthonormal, projected
 from fluxtwin.gap.noise.choice import NoiseModel, whitener_of
 from fluxtwin.gap.noise.whitening import Whitener
 from fluxtwin.gap.problem.problem import Problem
-from fluxtwin.gap.selection.criterion import SHAPE, TWENTY_TO_ONE, penalty, stands_out
+from fluxtwin.gap.selection.criterion import IN_GROUP, SHAPE, TWENTY_TO_ONE, penalty, stands_out
 from fluxtwin.gap.selection.detectable import smallest
 from fluxtwin.gap.selection.refit import Readings, refit
 from fluxtwin.gap.selection.score import Board, board, whitened
-from fluxtwin.gap.selection.search import IN_GROUP
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.base import GOES_ON, SignalEffect
 

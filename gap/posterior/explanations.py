@@ -45,7 +45,8 @@ Known = tuple[list[Candidate], dict[str, str]]
 """What `candidates` gives for a problem."""
 _Searched = tuple[Search[Readings], dict[str, str], list[tuple[Fit, Board]]]
 """A search, names that cannot be tested with the reason, and the path that it took."""
-_ROUNDS = 2
+ROUNDS = 2
+"""Of a search, each beside what the one before found, if the names do not stay before."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -231,7 +232,7 @@ def noise_and_answer(problem: Problem, dictionary: Dictionary, known: Known) -> 
     """
     first = choice = choose_noise(problem)
     searched = _searched(problem, whitener_of(problem, choice.noise, choice.robust.weights), known)
-    for _ in range(_ROUNDS):
+    for _ in range(ROUNDS):
         fit = searched[2][-1][0]
         if not fit.chosen:
             break

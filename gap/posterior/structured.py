@@ -8,7 +8,7 @@ against "those effects", by the one criterion.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,14 +27,12 @@ from fluxtwin.gap.noise.walk import gain, likeliest_rate
 from fluxtwin.gap.noise.whitening import with_walk
 from fluxtwin.gap.posterior.explanations import Answer, Known, answered_with, log_likelihood, signals_of, without_names
 from fluxtwin.gap.problem.problem import Problem
-from fluxtwin.gap.selection.criterion import LOG_FURTHER, SHAPE, THRESHOLD, worth
-from fluxtwin.gap.selection.search import IN_GROUP
+from fluxtwin.gap.selection.criterion import IN_GROUP, LOG_FURTHER, SHAPE, THRESHOLD, worth
+from fluxtwin.gap.selection.forward import LARGEST
 from fluxtwin.sim.base.types import FloatArray
 
-_MOST = 3
 _ROUNDS = 3
 _SETTLED = 0.2  # in the logarithm of the rate
-_MEMORIES_S = (30.0, 100.0, 300.0)
 _WALK, _LIKE_A_WALK = "bias_random_walk", ("bias_step", "linear_drift")
 """A walk's largest excursion looks like a step, its whole way like a drift: what a name can be before it is a walk."""
 
@@ -49,11 +47,15 @@ class Structured:
 
     def among(self, answer: Answer) -> Answer:
         """The answer with the waveforms that are in the data, effects sought afresh given them."""
-        for _ in range(_MOST):
+        for _ in range(LARGEST):
             more = self._one_more(answer)
             if more is None:
                 break
             answer = more
+        for one in answer.shapes[:-1]:  # what was found first may be a piece of what was found after it
+            fewer = self.given([other for other in answer.shapes if other is not one])
+            if not fewer.left.structured and len(fewer.result.named) <= len(answer.result.named):
+                answer = fewer
         return answer
 
     def _one_more(self, answer: Answer) -> Answer | None:
@@ -64,7 +66,7 @@ class Structured:
             for bare in (True, False) if named and answer.known < 0.5 else (False,):
                 finding = self._signal(answer, bare=bare)
                 if finding is not None:
-                    return self.given(answer, finding)
+                    return self.given([*answer.shapes, finding])
         stepped = any(one.name in _LIKE_A_WALK for one in named)
         if not walks and (answer.left.structured or len(named) > 1 or stepped):
             return self._walking(answer)
@@ -79,16 +81,15 @@ class Structured:
         chosen = [] if bare else [effect for effect, _ in result.chosen]
         return proposals.structured(self.problem, whitener, residual, fitted, left, self.dictionary, chosen)
 
-    def given(self, answer: Answer, finding: Finding) -> Answer:
-        """Effects sought afresh given one more signal."""
-        shapes = (*answer.shapes, finding)
+    def given(self, shapes: Sequence[Finding]) -> Answer:
+        """Effects sought afresh given these shapes."""
         # A line was noise to the first choice.
         noise, robust = choose_noise(self.problem, self.problem.derivatives(signals_of(shapes)))
         whitener = whitener_of(self.problem, noise, robust.weights)
         for one in shapes:
             if one.name == _WALK:
                 whitener = with_walk(whitener, float(one.theta[0]))
-        return answered_with(self.problem, robust, whitener, self.dictionary, self.known, shapes)
+        return answered_with(self.problem, robust, whitener, self.dictionary, self.known, tuple(shapes))
 
     def _walking(self, answer: Answer) -> Answer | None:
         """The answer with a walk in the noise, where that explains more; where it explains nearly as much, the answer with
@@ -103,8 +104,7 @@ class Structured:
             named = columns[:, :, alone.shape[2] :]
             rate = likely / answer.noise.sigma_nT
             noise = choose_noise(self.problem, named, residual_nT=residual_nT, walk=rate).noise
-            trials = [noise, answer.noise, *_declared(self.problem, noise)]
-            gained = [(self._gain(answer, one, residual_nT, columns), one) for one in trials]
+            gained = [(self._gain(answer, one, residual_nT, columns), one) for one in (noise, answer.noise)]
             (_, first), likeliest = max(gained, key=lambda found: found[0][0])
             best = max(best, self._walks(answer, likeliest, first, bare_nT, alone), key=lambda found: found[0])
         whole, rate, walking = best
@@ -180,7 +180,7 @@ class Structured:
             # The thinned rows hold the phase over the whole record.
             setting, left = self.problem.setting, self._left(answer)
             longer = wheel_line(setting, left, line_near(setting.seconds, left, fast.line.frequency_Hz))
-            return self.given(answer, longer if longer is not None and longer.confirmed else wheel)
+            return self.given([*answer.shapes, longer if longer is not None and longer.confirmed else wheel])
         if (
             answer.left.structured and answer.left.kind != "tone"
         ):  # a slower line may be this one, seen in some rows only
@@ -199,15 +199,6 @@ class Structured:
         explained = max(alone.energy - projected(whitener, result.residual_nT, answer.fitted_nT).energy, 0.0)
         beyond = line.beyond(1.0 + SHAPE * explained, max(whitener.measured / 3.0, 2.0))
         return float(expit(0.5 * (LOG_FURTHER - beyond)))
-
-
-def _declared(problem: Problem, noise: NoiseModel) -> list[NoiseModel]:
-    """The declared noise, with a few memories of the attitude's error."""
-    theta_rad = problem.budget.attitude_sigma_rad
-    sigma_nT = noise.sigma_prior_nT
-    if not theta_rad or sigma_nT <= 0.0:
-        return []
-    return [replace(noise, sigma_nT=sigma_nT, theta_rad=theta_rad, tau_s=tau_s) for tau_s in _MEMORIES_S]
 
 
 def _with_rival(answer: Answer, walking: Answer, name: str, whole: float) -> Answer | None:

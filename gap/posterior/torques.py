@@ -17,7 +17,7 @@ from fluxtwin.gap.hypotheses.blocks import Block
 from fluxtwin.gap.hypotheses.evidence import fit
 from fluxtwin.gap.linear.projection import projected
 from fluxtwin.gap.noise.whitening import Whitener
-from fluxtwin.gap.posterior.explanations import likeliest, weighed
+from fluxtwin.gap.posterior.explanations import ROUNDS, likeliest, weighed
 from fluxtwin.gap.problem.problem import Problem
 from fluxtwin.gap.records.diagnosis import Detectable, FoundEffect, MomentumGap, Ranked
 from fluxtwin.gap.selection.criterion import THRESHOLD, still_known, worth
@@ -30,7 +30,6 @@ from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.chain import Active
 from fluxtwin.sim.spacecraft.dynamics.vehicle import Vehicle
 
-_AGAIN = 2
 _SURE_RAD = np.radians(5.0)
 """A standing error of the attitude that is known no better is not stated."""
 _NO_SCENARIO = 'no scenario with attitude mode "dynamics" says what the body is and which torques turn it'
@@ -111,7 +110,7 @@ def _about_the_motion(
     if not found.named and not found.left.structured:
         return found
     found, vehicle = _searched(problem, cut.followed(slow=True).followed(slow=True), whitener, result, fitted_nT)
-    for _ in range(_AGAIN):
+    for _ in range(ROUNDS):
         if not found.named:
             break
         before = [one.name for one in found.named]

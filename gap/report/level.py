@@ -15,12 +15,10 @@ from fluxtwin.gap.noise.robust_rows import CUT_SIGMA
 from fluxtwin.gap.posterior.explanations import Answer, signals_of
 from fluxtwin.gap.problem.problem import Budget, Problem
 from fluxtwin.gap.report import words
-from fluxtwin.gap.selection.criterion import SHAPE_ERROR
+from fluxtwin.gap.selection.criterion import GATE, SHAPE_ERROR
 
 _LEAST_SPREAD = 0.05
 """Standard deviation of the logarithm of the rms, however many rows: structure that nobody looks for is in any record."""
-_RARE = 1e-3
-"""Probability of so many outliers by chance from which on they are a finding."""
 
 
 @dataclass(frozen=True)
@@ -84,7 +82,7 @@ def outliers(problem: Problem, robust: RobustRows) -> Excess | None:
     """Readings that were set aside, where noise does not give as many, or None."""
     count = robust.components_cut
     by_chance = 2.0 * float(norm.sf(CUT_SIGMA)) * float(problem.measured.sum())
-    if count == 0 or poisson.sf(count - 1, by_chance) > _RARE:
+    if count == 0 or poisson.sf(count - 1, by_chance) > GATE:
         return None
     return Excess("telemetry", words.outliers(problem.time, robust.cut))
 

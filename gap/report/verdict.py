@@ -27,6 +27,7 @@ from fluxtwin.gap.report import advice, level, words
 from fluxtwin.gap.report.level import Excess
 from fluxtwin.gap.report.second_channel import Angle
 from fluxtwin.gap.selection.criterion import GATE, still_known
+from fluxtwin.gap.selection.forward import LARGEST
 from fluxtwin.gap.selection.named import Support, found_effect
 from fluxtwin.sim.effects.base import SignalEffect
 from fluxtwin.sim.effects.catalogue import find_effect
@@ -35,9 +36,6 @@ from fluxtwin.sim.effects.signal import Setting
 _AT_STAGE = 0.9
 """Probability of the stage where its error is beyond the declared one: a judgement, a residual may be large by a cause
 elsewhere."""
-_RESEMBLES_P = GATE / 2.0
-"""p-value of an effect alone from which on the unknown is said to resemble it: half that of a name."""
-_MOST_RESEMBLED = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -289,7 +287,7 @@ def _resembles(work: Work) -> list[str]:
     result = work.answer.result
     if result.resembles or result.named:
         return list(result.resembles) or [one.name for one in result.named]
-    return [line.name for line in result.ranking[:_MOST_RESEMBLED] if line.p_value < _RESEMBLES_P]
+    return [line.name for line in result.ranking[:LARGEST] if line.p_value < GATE]
 
 
 def _where(work: Work, effects: Sequence[FoundEffect]) -> Place:

@@ -14,6 +14,8 @@ from fluxtwin.calib.common.criterion import penalty as penalty
 from fluxtwin.calib.common.criterion import worth as worth
 from fluxtwin.sim.base.types import BoolArray
 
+FEWEST = 30
+"""Measurements that say anything by themselves: a variance is then known to a quarter, sqrt(2 / 30)."""
 GATE = 0.002
 """Probability that a perfect simulation gets any name."""
 SHAPE_ERROR = 0.15
@@ -24,11 +26,12 @@ SHAPE = SHAPE_ERROR**2 / SHAPE_DIRECTIONS
 """Share of the energy of named causes that their shape error has in one direction, spread over fifteen directions (columns
 of some three to five blocks). Of the same truths the worst direction has less than 0.0020 in three quarters, 0.0053 in nine
 tenths."""
-LOG_FURTHER = 6.0
-"""Minus twice the log of the prior odds of one more cause beside a named one, and of one outside the catalogue: one in
-twenty."""
-TWENTY_TO_ONE = 2.0 * float(np.log(20.0))
-"""In twice the log: what costs less than this is not distinguished."""
+IN_GROUP = 0.05
+"""Probability of a rival, one in twenty, from which on it is not distinguished."""
+TWENTY_TO_ONE = -2.0 * float(np.log(IN_GROUP))
+"""The same in twice the log."""
+LOG_FURTHER = TWENTY_TO_ONE
+"""Minus twice the log of the prior odds of one more cause beside a named one, and of one outside the catalogue: as much."""
 
 
 def stands_out(p_value: ArrayLike, worth: ArrayLike) -> BoolArray:

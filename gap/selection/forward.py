@@ -25,6 +25,7 @@ from fluxtwin.sim.effects.calibration import Step
 from fluxtwin.sim.effects.signal import Setting
 
 LARGEST = 3
+"""Causes, waveforms, or names that an unknown one resembles, at the most."""
 WITHIN = 8.0
 NONLINEAR = 0.2
 """A candidate is refitted if its linear score comes within the first, or this share, of the best: so much of a drop may be

@@ -13,7 +13,7 @@ import numpy as np
 
 from fluxtwin.gap.linear.projection import orthonormal
 from fluxtwin.gap.records.diagnosis import FoundEffect, Ranked, Score
-from fluxtwin.gap.selection.criterion import SHAPE, penalty
+from fluxtwin.gap.selection.criterion import IN_GROUP, SHAPE, penalty
 from fluxtwin.gap.selection.detectable import smallest, visible_part
 from fluxtwin.gap.selection.forward import NONLINEAR, WITHIN, Search, room_for, without
 from fluxtwin.gap.selection.named import SearchResult, Support, axis_of, found_effect
@@ -23,7 +23,6 @@ from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.base import SignalEffect
 from fluxtwin.sim.effects.chain import Active
 
-IN_GROUP = 0.05  # probability of a rival, one in twenty, from which on it is not distinguished
 WORTH_SAYING = 0.001  # of a rival: a less likely one is neither stated nor tried on other designs
 _OF_ERRORS = 1e-3
 """Of the energy of an image: less would cost a cause that explains a drop of a thousand one unit of it."""

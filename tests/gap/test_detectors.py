@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,6 +24,7 @@ from fluxtwin.gap.hypotheses.evidence import fit_all
 from fluxtwin.gap.linear.projection import projected
 from fluxtwin.gap.noise.walk import likeliest_rate
 from fluxtwin.gap.noise.whitening import NoiseModel, Whitener, make_whitener, with_walk
+from fluxtwin.gap.posterior.structured import Structured
 from fluxtwin.gap.problem.problem import Problem, pose
 from fluxtwin.gap.problem.row_axes import turn_images
 from fluxtwin.sim.earth.field_models import load_field
@@ -322,3 +325,22 @@ def test_a_multiple_of_a_wheel_is_no_second_wheel(bench: Bench) -> None:
         line = np.outer(np.cos(phase), [60.0, 0.0, 30.0]) + np.outer(np.sin(phase), [0.0, 50.0, -20.0])
         left = projected(bench.whitener, noise + line, bench.calibration)
         assert companion(setting, left, strongest_line(t, left), named) is expected
+
+
+@pytest.mark.parametrize("needed", [False, True])
+def test_a_waveform_is_taken_out_where_a_later_one_leaves_nothing_for_it(
+    monkeypatch: pytest.MonkeyPatch, needed: bool
+) -> None:
+    """A line is found first, then the sequence of which it is a piece."""
+
+    def answer(*shapes: str) -> Any:
+        left = SimpleNamespace(structured=shapes == ("line",) or (needed and len(shapes) < 2))
+        return SimpleNamespace(shapes=shapes, left=left, result=SimpleNamespace(named=()))
+
+    found = iter([answer("line"), answer("line", "sequence"), None])
+    monkeypatch.setattr(Structured, "_one_more", lambda *_: next(found))
+    monkeypatch.setattr(Structured, "given", lambda _, shapes: answer(*shapes))
+    nothing: Any = SimpleNamespace()
+    assert Structured(nothing, nothing, nothing).among(answer()).shapes == (
+        ("line", "sequence") if needed else ("sequence",)
+    )

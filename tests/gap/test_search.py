@@ -40,7 +40,7 @@ from fluxtwin.sim.effects.calibration import BiasStep
 from fluxtwin.sim.effects.catalogue import find_effect
 from fluxtwin.sim.effects.chain import Active, jacobian
 from fluxtwin.sim.effects.clock_and_orbit import TimeTagOffset
-from fluxtwin.sim.effects.response import Hysteresis
+from fluxtwin.sim.effects.response import Hysteresis, Saturation
 from fluxtwin.sim.effects.switched_field import SwitchedField
 from fluxtwin.sim.run.simulate import simulate
 from fluxtwin.sim.scenario.scenario import parse_scenario
@@ -380,3 +380,13 @@ def test_a_field_that_was_on_for_one_stretch_is_found_and_a_step_is_none() -> No
 def test_the_scale_of_a_candidate_is_that_of_its_parameters() -> None:
     one = Candidate(Hysteresis(), np.zeros((1, 3, 1)), np.ones(1, dtype=bool))
     assert one.scale.tolist() == [parameter.scale for parameter in Hysteresis().parameters]
+
+
+@pytest.mark.parametrize("flown_nT", [0.0, 3000.0])
+def test_no_fit_ends_worse_than_without_the_effect(flown_nT: float) -> None:
+    """A clip so deep that it cuts most of the field is far on the wrong side of the truth, and no slope leads back."""
+    here, clip = design("tumble"), Saturation(full_scale_nT=46_000.0)
+    data = Readings(here.data([(clip, np.array([flown_nT]))], seed=6), here.whitener)
+    for depth_nT in (500.0, 8000.0, 45_000.0):
+        fit = refit(data, [(clip, np.array([depth_nT]))])
+        assert fit.chi2 <= refit(data).chi2 + 1e-6

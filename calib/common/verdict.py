@@ -36,6 +36,7 @@ SEVERAL = 3.0
 FIELD_MODEL_NT = 150.0
 """Error of |B| that a main-field model may have, 1 sigma (error model of the World Magnetic Model, technical reports of
 2020 and 2025, at the surface; less in orbit): allowed before a residual is called impossible."""
+_MORE_ALONG = float(np.sqrt(2.0))  # twice the variance, as noise and calibration are themselves only estimated
 _FALSE_ALARM = 1e-3  # of a comparison of variances
 _TRUSTED = 1.5  # a declared attitude error is trusted to that factor, as in `error_model`
 _WEAK_S = 0.01  # 1 sigma: half a degree, or a percent of the field
@@ -64,6 +65,8 @@ class Along(NamedTuple):
     """From white noise and LSB."""
     allowed_nT: float
     """rms that chance and the errors of the calibration alone pass once in a thousand times."""
+    chance_nT: float
+    """rms that chance alone passes so often."""
 
 
 @dataclass(frozen=True)
@@ -193,8 +196,8 @@ def _along(fit: Fit, telemetry: Telemetry, field_nT: FloatArray, kept: BoolArray
     own = float(np.einsum("nj,jk,nk->n", images, fit.calibration.covariance[:12, :12], images).mean())
     if fit.error_model is not None and fit.error_model.slow_nT > 0.0:
         own *= _not_of_slow_errors(fit.error_model, noise, telemetry.time[fit.rows][kept])
-    allowed_nT = float(np.sqrt(chi2.ppf(1.0 - _FALSE_ALARM, len(r)) / len(r) * (noise**2 + own)))
-    return Along(float(np.sqrt((r**2).mean())), noise, allowed_nT)
+    chance = float(np.sqrt(chi2.ppf(1.0 - _FALSE_ALARM, len(r)) / len(r)))
+    return Along(float(np.sqrt((r**2).mean())), noise, chance * float(np.hypot(noise, np.sqrt(own))), chance * noise)
 
 
 def _not_of_slow_errors(model: ErrorModel, noise_nT: float, time: TimeArray) -> float:
@@ -300,7 +303,10 @@ def _residual_words(fit: Fit, along: Along, residual_nT: float, *, impossible: b
     model, because = fit.error_model, say("verdict.because_noise", reading=reading)
     if model is not None and model.attitude_sigma_deg is not None:
         because = say("verdict.because_both", reading=reading, model=model)
-    return say("verdict.residual", residual=residual_nT, because=because, along=along)
+    words = say("verdict.residual", residual=residual_nT, because=because, along=along)
+    if along.chance_nT < along.found_nT and not _too_much_along(along):
+        words += say("verdict.along_allowed", most=_MORE_ALONG * along.allowed_nT)
+    return words
 
 
 def _rows(fit: Fit) -> int:
@@ -313,7 +319,7 @@ def _many_outliers(fit: Fit) -> bool:
 
 
 def _too_much_along(along: Along) -> bool:
-    return along.found_nT > float(np.sqrt(2.0)) * along.allowed_nT
+    return along.found_nT > _MORE_ALONG * along.allowed_nT
 
 
 def _coupling(fit: Fit, dipole_B_Am2: FloatArray | None) -> str:

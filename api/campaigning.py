@@ -150,7 +150,8 @@ def _calibrated(telemetry: Any, truth: Any, known: Scenario) -> dict[str, Any]:
 
     try:
         coupled = known.torquers is not None and bool(telemetry.has_attitude.any())
-        fit = calibrate(telemetry, **({"parameters": "b,S,T"} if coupled else {}))
+        options: dict[str, Any] = {"parameters": "b,S,T"} if coupled else {}
+        fit = calibrate(telemetry, **options)
     except (BadInput, NoAnswer) as error:
         return {"why": str(error)}
     made = fit.calibration

@@ -20,9 +20,6 @@ from fluxtwin.sim.effects.drivers import TIME_CONSTANTS_S
 from fluxtwin.sim.effects.signal import Setting
 from fluxtwin.sim.telemetry.quantities import QUANTITIES
 
-THERMAL_LAGS_S = np.geomspace(TIME_CONSTANTS_S[0], TIME_CONSTANTS_S[-1], 2 * len(TIME_CONSTANTS_S) - 1)
-"""Time constants tried for a temperature that was not recorded: those of the effects, which search between them, and as many
-between these."""
 _HARMONICS = 3
 _REGIONS = 48
 _REGION_RADIUS_RAD = 0.35  # of a Gaussian patch, about 20 degrees: neighbours on the sphere overlap at half height
@@ -92,7 +89,7 @@ def _lighting(setting: Setting) -> Iterator[Condition]:
     if recorded is not None:
         yield _smooth("temperature", "temperature", recorded)
     else:
-        for tau_s in THERMAL_LAGS_S:
+        for tau_s in TIME_CONSTANTS_S:  # as the effects try them
             lagged = drivers.temperature_K(setting, float(tau_s))
             yield _smooth("temperature", f"sunlight lagged by {tau_s:.0f} s", lagged)
 

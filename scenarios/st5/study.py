@@ -66,7 +66,7 @@ def words() -> Words:
         chi2=chi2,
         distances=_distances,
         names=NAMES,
-        published=mission.published,
+        published=lambda: mission.published(),  # looked up when it is called
         terms_of=mission.terms_of,
         truth_terms=mission.truth_terms,
     )

@@ -19,7 +19,7 @@ def test_the_signature_has_every_option_of_every_method() -> None:
     parameters = inspect.signature(fluxtwin.calibrate).parameters
     assert all(one.kind is not one.VAR_KEYWORD for one in parameters.values())
     wanted = {name for estimator in methods.ESTIMATORS.values() for name in estimator.takes}
-    assert wanted | {"method"} == set(parameters) - {"telemetry", "field", "degree", "onboard"} - set(
+    assert wanted | {"method"} == set(parameters) - {"telemetry", "field", "degree", "onboard", "progress"} - set(
         Reading.__annotations__
     )
     assert parameters["robust"].default == "tukey"  # all methods share it

@@ -129,7 +129,7 @@ def _likely(sample: Sample, ratio: float) -> str:
     guess = _nearest_unit(ratio, LIKELY_RATIO)
     whole = bool((sample.mag_nT == np.round(sample.mag_nT)).all())
     counts = f"raw counts of about {plain(1.0 / ratio)} nT (`scale` = nT per count)"
-    if guess and "counts" not in guess and whole:
+    if guess and whole:
         return f"{guess}, or, as all readings are whole, {counts}"
     return guess or counts
 

@@ -117,7 +117,7 @@ def as_path(given: Any) -> Path:
         return Path(given)
     kind = f"{type(given).__module__.partition('.')[0]} {type(given).__name__}"
     raise BadInput(
-        f"a {kind.removeprefix('builtins ')} was given",
+        f"an object of type {kind.removeprefix('builtins ')} was given",
         where="telemetry",
         wanted="the path of a file, a fluxtwin.Telemetry, a pandas DataFrame or an xarray Dataset (docs/telemetry.md)",
     )

@@ -380,7 +380,7 @@ def test_units_in_attributes_and_lists_in_cells() -> None:
     bare = pd.DataFrame({"mag_x": [1.0], "mag_y": [1.0], "mag_z": [1.0]}, index=stamps[:1])
     with pytest.raises(BadInput, match="no unit in its name"):
         fluxtwin.read(bare)
-    with pytest.raises(BadInput, match="a list was given"):
+    with pytest.raises(BadInput, match="an object of type list was given"):
         fluxtwin.read([1, 2, 3])  # type: ignore[arg-type]
 
 

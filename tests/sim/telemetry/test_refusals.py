@@ -194,7 +194,7 @@ XYZ = {f"mag_{axis}_nT": [1.0, 2.0] for axis in "xyz"}
         (pd.DataFrame({"time": STAMPS, "mag": [[1.0, 2.0, 3.0], [1.0]]}), "mag holds lists of different lengths"),
         (xr.Dataset({"mag": ("k", [1.0])}), "no variable holds stamps"),
         (pd.DataFrame({"time": STAMPS[:0], **{name: STAMPS[:0].astype(float) for name in XYZ}}), "there are no rows"),
-        (3, "a int was given"),
+        (3, "an object of type int was given"),
     ],
 )
 def test_a_table_in_memory_that_is_no_record(given: Any, said: str) -> None:

@@ -37,6 +37,7 @@ TOGETHER = re.compile(
 """Spaces at which no line of a page ends."""
 POWER = re.compile(r"(?<=[|;>\w)])\^(-?\d+)")
 _CODE = re.compile("`([^`]+)`")
+_LONG = re.compile(r"(?<=\w{3})_(?=\w{3})")  # C_yy stays whole
 _TELEPHONE = 46  # letters in a row of a table on a telephone of 390 px
 _READABLE_PX = 9.1  # of the smallest text of a figure, on whatever screen; its frame takes a little
 
@@ -106,7 +107,7 @@ def _smallest(figure: Figure) -> float:
 def _command(text: str) -> str:
     """The text as HTML: words that stay on one line though they have a hyphen, lines that may end behind an underscore."""
     parts = [
-        f'<span class="whole">{part}</span>' if k % 2 else part.replace("_", "_<wbr>")
+        f'<span class="whole">{part}</span>' if k % 2 else _LONG.sub("_<wbr>", part)
         for k, part in enumerate(_HYPHENED.split(escape(clean(text))))
     ]
     return "".join(parts)

@@ -1,5 +1,5 @@
 """Build the pages of docs into a site, strictly: a broken link or anchor, a docstring that does not parse, a figure that is
-not there fail, and so does a page that would fetch something.
+not there fail, and so does a page that would fetch something or shows the marks of code or formulas.
 
 Usage: python .ci/site.py FOLDER
 """
@@ -28,13 +28,23 @@ def remote(folder: Path) -> list[str]:
     ]
 
 
+def unread(folder: Path) -> list[str]:
+    """Marks of code or formulas that are left in the text of pages, as where a line of Markdown begins with a dash."""
+    found = []
+    for path in sorted(folder.rglob("*.html")):
+        text = re.sub(r"<(pre|code|math|script|style)\b.*?</\1>", "", path.read_text(encoding="utf-8"), flags=re.DOTALL)
+        hits = re.finditer(r".{0,30}[`$].{0,30}", re.sub(r"<[^>]*>", "", text))
+        found += [f"{path.relative_to(folder)}: not read as code or formula: {hit.group()}" for hit in hits]
+    return found
+
+
 def main(folder: Path) -> int:
     """The exit status of the build, or 1 where a page is not offline."""
     strict = ["-W", "--keep-going", "-q", "-E", "-b", "html", "-d", str(folder / ".doctrees")]
     built = subprocess.run([sys.executable, "-m", "sphinx", *strict, str(ROOT / "docs"), str(folder)], check=False)
     if built.returncode:
         return built.returncode
-    found = remote(folder)
+    found = remote(folder) + unread(folder)
     print("\n".join(found) or f"{len(list(folder.rglob('*.html')))} pages, none fetches anything")
     return 1 if found else 0
 

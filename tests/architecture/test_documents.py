@@ -88,3 +88,13 @@ def test_a_page_that_fetches_something_is_seen(tmp_path: Path):
     ):
         page.write_text(fetched, encoding="utf-8")
         assert len(site["remote"](tmp_path)) == 1, fetched
+
+
+def test_a_page_that_shows_its_marks_is_seen(tmp_path: Path):
+    site = runpy.run_path(str(ROOT / ".ci" / "site.py"))
+    page = tmp_path / "page.html"
+    page.write_text("<p><code>`a`</code> costs <math>x</math></p><pre>$ ls</pre>", encoding="utf-8")
+    assert site["unread"](tmp_path) == []
+    for left in ("<p>numbers (`== &lt;</p>", "<p>the difference $B_1</p><ul><li>B_2</li></ul>"):
+        page.write_text(left, encoding="utf-8")
+        assert len(site["unread"](tmp_path)) == 1, left

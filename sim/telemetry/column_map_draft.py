@@ -104,8 +104,9 @@ _SIZES = {
     "mag": (("nT", 1e3, 2e5), ("mG", 100.0, 1e3), ("uT", 5.0, 100.0), ("G", 0.08, 1.0), ("T", 5e-6, 1e-4)),
     "position": (("m", 6e6, 1e9), ("km", 6e3, 1e6)),
     "velocity": (("m/s", 300.0, 12e3), ("km/s", 0.3, 12.0)),
+    "dipole": (("Am2", 0.0, 20.0), ("mAm2", 20.0, 1e6)),
 }
-"""Typical sizes of a vector by unit: a guess where the name says none."""
+"""Typical sizes of a vector by unit: a guess where the name says none. Torquers of small spacecraft have up to 15 A m2."""
 _SUNLIT = re.compile(r"sun_?(lit|light|flag|presen)|in_sun|illum|(?P<shadow>eclipse|shadow|umbra)")
 _CURRENT = re.compile(
     r"curr|(^|_)cur(_|$)|(?<!st)amp(s|ere)?(_|$)|^i_?(sa|sol|bat|load|bus)|(^|_)i_|_i(_|$)|_m?a$|duty|pwm|heater|load|(^|_)on(_|$)|enabled"

@@ -430,6 +430,13 @@ def test_fill_values_are_guessed(tmp_path: Path) -> None:
     assert list(np.flatnonzero(~read_telemetry(tmp_path / "a.csv", column_map=tmp_path / "m.toml").has_reading)) == [3]
 
 
+@pytest.mark.parametrize(("size", "unit"), [(0.2, "Am2"), (200.0, "mAm2")])
+def test_a_dipole_that_no_small_torquer_has_is_in_thousandths(tmp_path: Path, size: float, unit: str) -> None:
+    rows = [f"2026-03-01T00:00:{second:02d}Z,{size},0,{-size}" for second in range(60)]
+    (tmp_path / "t.csv").write_text("\n".join(["time,MTQ_X,MTQ_Y,MTQ_Z", *rows]) + "\n", encoding="utf-8")
+    assert f'dipole = {{ from = ["MTQ_X", "MTQ_Y", "MTQ_Z"], unit = "{unit}" }}' in draft([tmp_path / "t.csv"])
+
+
 def test_bare_names_of_a_unit_norm_are_a_quaternion_and_a_place_has_fill_values(tmp_path: Path) -> None:
     place = np.column_stack([np.linspace(-70.0, 70.0, 200), np.linspace(0.0, 50.0, 200), np.full(200, 5.5e5)])
     place[7] = [-9999.0, 3.0, 5.5e5]

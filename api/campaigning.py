@@ -150,8 +150,7 @@ def _calibrated(telemetry: Any, truth: Any, known: Scenario) -> dict[str, Any]:
 
     try:
         coupled = known.torquers is not None and bool(telemetry.has_attitude.any())
-        options: dict[str, Any] = {"parameters": "b,S,T"} if coupled else {}
-        fit = calibrate(telemetry, **options)
+        fit = calibrate(telemetry, parameters="b,S,T") if coupled else calibrate(telemetry)
     except (BadInput, NoAnswer) as error:
         return {"why": str(error)}
     made = fit.calibration

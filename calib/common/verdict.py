@@ -337,11 +337,7 @@ def _orbit_suspect_km(fit: Fit, telemetry: Telemetry, along: Along, strength_nT:
     error does, so the comparison is with noise alone.
     """
     km = stated_km(telemetry)
-    if (
-        not km
-        or telemetry.r_N_km is None
-        or not (along.found_nT > np.sqrt(2.0) * along.noise_nT or _many_outliers(fit))
-    ):
+    if not km or telemetry.r_N_km is None or not (along.found_nT > _MORE_ALONG * along.noise_nT or _many_outliers(fit)):
         return 0.0
     steepest = 3.0 * strength_nT / float(np.nanmin(np.linalg.norm(telemetry.r_N_km, axis=1)))
     return km if along.found_nT < float(np.hypot(along.noise_nT, SEVERAL * km * steepest)) else 0.0

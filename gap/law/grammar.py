@@ -12,6 +12,7 @@ from typing import get_args
 
 import numpy as np
 
+from fluxtwin.gap.detectors.residual_structure import PARTS
 from fluxtwin.gap.hypotheses.conditions import LEAST_SHARE
 from fluxtwin.gap.hypotheses.perturbed_design import PerturbedDesign, alike
 from fluxtwin.gap.problem.problem import Problem
@@ -27,7 +28,7 @@ AXES: tuple[Axes, ...] = get_args(Axes)
 _SCALARS = ("heater_on", "array_current_A", "battery_current_A", "temperature_degC")
 _LEVELS = np.arange(1, 10) / 10.0
 """Quantiles of a column beyond which something may be on."""
-_PARTS = 5
+_PARTS = max(PARTS)
 """Of a record, at whose ends something that follows a column may go on or off: the times are then searched between them."""
 _QUARTER = {"cos": "sin", "sin": "cos", "cos2": "sin2", "sin2": "cos2"}
 _WAVES = tuple(_QUARTER)

@@ -389,8 +389,8 @@ def test_a_value_that_no_instrument_gives_is_named(late: Case, cli: Cli, tmp_pat
     ]  # without checks
     row = text[5].split(",")
     row[text[0].split(",").index("mag_x_nT")] = "1e300"
-    (tmp_path / "spoilt.csv").write_text("\n".join([*text[:5], ",".join(row), *text[6:]]) + "\n", encoding="utf-8")
-    result = cli("diagnose", tmp_path / "spoilt.csv", *FLAGS)
+    (tmp_path / "damaged.csv").write_text("\n".join([*text[:5], ",".join(row), *text[6:]]) + "\n", encoding="utf-8")
+    result = cli("diagnose", tmp_path / "damaged.csv", *FLAGS)
     assert result.status == 2
     assert "1e+300" in result.err
     assert "row 5" in result.err

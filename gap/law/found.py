@@ -183,14 +183,15 @@ class _Search:
         own = fit.jacobian[:, :, fit.jacobian.shape[2] - 3 * len(terms) :]
         gap = self._held_out(whitener, choice, residual_nT, columns_nT)
         record = self._record(fit, terms, gap, alike)
+        best = words.made_of(record.terms)
         for gain, more in parts(left, own):
             if worth(gain / wider, more, samples, float(np.log(len(PARTS)))) > THRESHOLD + LOG_FURTHER:
-                why = "the coefficients of the best one differ from one part of the record to the next"
-                return Lawful(self._none(whitener, f"{why}: {words.made_of(record.terms)}"))
+                why = "differ from one part of the record to the next"
+                return Lawful(self._none(whitener, f"the coefficients of the best one ({best}) {why}"))
         if gap.closed is None or gap.closed < LEAST_CLOSED:
             share = "no measurable share" if gap.closed is None else f"{100 * gap.closed:.0f} %"
-            why = f"the best one closes {share} of the remaining gap on held-out samples"
-            return Lawful(self._none(whitener, f"{why}: {words.made_of(record.terms)}"))
+            why = f"closes {share} of the remaining gap on held-out samples"
+            return Lawful(self._none(whitener, f"the best one ({best}) {why}"))
         rest = residual_structure(problem, whitener, residual_nT, columns_nT)
         return Lawful(
             replace(record, fitted=self._series(terms, residual_nT)),

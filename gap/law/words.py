@@ -28,7 +28,7 @@ _NAMES = {
     "temperature_degC": "temperature",
     "sunlit": "sunlight",
     "sun_height": "sine of the sun's height",
-    "orbit_phase": "the argument of latitude",
+    "orbit_phase": "argument of latitude",
     "local_time": "local time",
 }
 _SHORT = {"^2": "_squared", "^3": "_cubed", ">": "_above_", ".": "_", "-": "minus_", "+": ""}
@@ -76,8 +76,8 @@ def factor(text: str) -> str:
     read = _NAMES.get(name, name.replace("_", " ") if name.startswith(("sun_", "rate_", "field_")) else name)
     if done == "not":
         return f"1 - {read}"
-    wave = {"cos2": "cos 2", "sin2": "sin 2"}.get(done, done)
-    return f"{wave} {read}{power}".strip() + (f" above {level}" if above else "")
+    wave = f"{done.replace('2', '(2 ', 1)}{read})" if "2" in done else f"{done}({read})" if done else read
+    return f"{wave}{power}" + (f" above {level}" if above else "")
 
 
 def recorded(text: str) -> bool:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from withheld_cases import limits, null_regimes, undetermined
-from withheld_cases.beside import TOLD
+from withheld_cases.beside import COMPARED
 from withheld_cases.judged import Judged, names_of
 from withheld_cases.rows import distributional, expressible, of, share_row
 
@@ -32,8 +32,8 @@ def _nulls(cases: Sequence[Judged]) -> list[dict[str, Any]]:
     plain = of(cases, "nulls_undeclared")
     found = [
         quiet("nothing declared, perfect flights: no gap", ">= 98 %", plain, 0.98),
-        quiet("nothing declared: of these the scenario of the README", TOLD, [c for c in plain if _readme(c)], 0.0),
-        quiet("nothing declared: of these the usual worlds", TOLD, [c for c in plain if not _readme(c)], 0.0),
+        quiet("nothing declared: of these the scenario of the README", COMPARED, [c for c in plain if _readme(c)], 0.0),
+        quiet("nothing declared: of these the usual worlds", COMPARED, [c for c in plain if not _readme(c)], 0.0),
     ]
     for regime in null_regimes.UNDECLARED:
         title = f"{null_regimes.WORDS[regime]}, nothing declared: no gap"
@@ -54,24 +54,26 @@ def _singles(cases: Sequence[Judged]) -> list[dict[str, Any]]:
     noises = [c for c in everything if distributional(c)]
     return [
         share_row(
-            "nothing declared, single, visible >= 0.5 (but for more noise or coarser steps than declared): first name",
+            "nothing declared, single other than noise and steps, visible >= 0.5: first name",
             ">= 85 %",
             asked,
             lambda c: c.first_right,
             0.85,
         ),
-        share_row("nothing declared, the same: list exactly right", TOLD, asked, lambda c: c.list_right, 0.0),
-        share_row("nothing declared, the same: false extra", TOLD, asked, lambda c: c.extra, 0.0),
-        share_row("nothing declared, the same: no gap", TOLD, asked, lambda c: c.verdict == "no_gap", 0.0),
+        share_row("nothing declared, the same: list exactly right", COMPARED, asked, lambda c: c.list_right, 0.0),
+        share_row("nothing declared, the same: false extra", COMPARED, asked, lambda c: c.extra, 0.0),
+        share_row("nothing declared, the same: no gap", COMPARED, asked, lambda c: c.verdict == "no_gap", 0.0),
         share_row(
             "nothing declared, turns of attitude or sensor alone: first name",
-            TOLD,
+            COMPARED,
             across,
             lambda c: c.first_right,
             0.0,
         ),
-        share_row("nothing declared, known by distribution: first name", TOLD, noises, lambda c: c.first_right, 0.0),
-        share_row("nothing declared, every single: first name", TOLD, everything, lambda c: c.first_right, 0.0),
+        share_row(
+            "nothing declared, known by distribution: first name", COMPARED, noises, lambda c: c.first_right, 0.0
+        ),
+        share_row("nothing declared, every single: first name", COMPARED, everything, lambda c: c.first_right, 0.0),
     ]
 
 
@@ -83,11 +85,11 @@ def _limits(cases: Sequence[Judged]) -> list[dict[str, Any]]:
         if own:
             found += [
                 share_row(f"printed smallest size of {name}, flown: detected", "85 to 95 %", own, detected, *DETECTED),
-                share_row(f"the same, {name}: named or in the group", TOLD, own, _flown_named, 0.0),
+                share_row(f"the same, {name}: named or in the group", COMPARED, own, _flown_named, 0.0),
             ]
     if mine:
         found.append(share_row("printed smallest size, all of them: detected", "85 to 95 %", mine, detected, *DETECTED))
-        found.append(share_row("the same, all of them: named or in the group", TOLD, mine, _flown_named, 0.0))
+        found.append(share_row("the same, all of them: named or in the group", COMPARED, mine, _flown_named, 0.0))
     return found
 
 
@@ -113,7 +115,7 @@ def _undetermined(cases: Sequence[Judged]) -> list[dict[str, Any]]:
         ("an answer or a refusal in words", "100 %", mine, lambda c: c.verdict != "error" or refused(c), 1.0),
         ("no false name", "100 %", mine, lambda c: not named_falsely(c), 1.0),
         ("b open: says what is missing", "100 %", open_, says_missing, 1.0),
-        ("b determined, no drift: no gap", TOLD, quiet, lambda c: c.verdict == "no_gap", 0.0),
+        ("b determined, no drift: no gap", COMPARED, quiet, lambda c: c.verdict == "no_gap", 0.0),
     ]
     prefix = "fast spin without attitude, a gauss of its own"
     return [

@@ -28,6 +28,10 @@ calibration error.
   (noise, steps, walks, bits, ...).
 - *List exactly right*: every cause is named and nothing else. *False extra*: a name without a cause. *Wrongly confirmed*:
   a cause outside the catalogue was given a name. *Stage right*: the stage, or one that looks the same, is that of a cause.
+- *Populations*: `nulls` are perfect flights, `singles`, `pairs` and `triples` have one to three effects, `faint` single
+  effects that hardly show. `shapes` have an effect of another form than the catalogue gives it, `outside` a cause that it
+  lacks. `torques` and `torque_pairs` have a wrong torque, alone or with another effect. `passes_only`, `short` and `coarse`
+  are perfect flights of these kinds. With `_undeclared` nothing is declared, with `_two` there is a second magnetometer.
 """
 _DETAILS = """# Withheld effects, case by case
 
@@ -49,12 +53,12 @@ def page(cases: Sequence[Judged], void: int, run: dict[str, Any]) -> str:
     counts: dict[str, int] = {}
     for case in cases:
         counts[case.population] = counts.get(case.population, 0) + 1
-    told = ", ".join(f"{name} {count}" for name, count in counts.items())
+    listed = ", ".join(f"{name} {count}" for name, count in counts.items())
     made = f"commit `{run['commit']}`, seed {run['seed']}" if run.get("commit") else f"a tuning run, seed {run['seed']}"
     missing = f" {void} could not be made: no world showed the truth at the wanted size." if void else ""
     parts = [
         _HEAD,
-        f"This run: {made}. {len(cases)} records: {told}.{missing}",
+        f"This run: {made}. {len(cases)} records: {listed}.{missing}",
         _contents(cases),
         "A row is met when the point estimate reaches its target (*reach*); the interval is Wilson's, 95 %. A row that is "
         "only *compared* has no target.",

@@ -108,14 +108,14 @@ def _elsewhere(cases: Sequence[Judged]) -> list[dict[str, Any]]:
             0.95,
         ),
         share_row(
-            "another shape, of which the catalogue's entry can explain less than 90 %: named, or unknown that resembles it",
+            "another shape, and the catalogue's entry explains less than 90 % of it: named, or unknown that resembles it",
             "compared",
             strange,
             lambda c: c.first_right or _resembled(c),
             0.0,
         ),
         share_row(
-            "single whose column was not recorded, of which other columns can explain less than 90 %: the same",
+            "single, its column not recorded, and others explain less than 90 % of it: named, or unknown that resembles it",
             "compared",
             without,
             lambda c: c.first_right or _resembled(c),
@@ -276,11 +276,11 @@ def by(cases: Sequence[Judged], key: str, title: str) -> str:
             continue
         wrong = [_short(case) for case in mine if not right(case)]
         counts = {text: wrong.count(text) for text in dict.fromkeys(wrong)}
-        told = "; ".join(
+        answers = "; ".join(
             f"{text} x{n}" if n > 1 else text for text, n in sorted(counts.items(), key=lambda i: -i[1])[:5]
         )
         good, first = sum(map(right, mine)), sum(case.first_right for case in mine)
-        rows.append((population, label or "others", good, first, len(mine), told))
+        rows.append((population, label or "others", good, first, len(mine), answers))
     return lines_of(rows, title)
 
 
@@ -291,8 +291,8 @@ def lines_of(rows: Sequence[tuple[str, str, int, int, int, str]], title: str) ->
         mine = list(group)
         whole = [f"{label} {of}" for _, label, good, _, of, _ in mine if good == of]
         wrong = [
-            f"**{label} {good} of {of}**{f', first name right {first}' if first > good else ''}: {told}"
-            for _, label, good, first, of, told in mine
+            f"**{label} {good} of {of}**{f', first name right {first}' if first > good else ''}: {answers}"
+            for _, label, good, first, of, answers in mine
             if good < of
         ]
         good, of = sum(row[2] for row in mine), sum(row[4] for row in mine)

@@ -106,7 +106,7 @@ def campaign_page(flown: Campaign) -> Page:
         "determine one: a logistic function of the logarithm of the size."
     )
     return Page(
-        title=f"{summary['runs']} runs of {summary['name'] or 'a scenario'}",
+        title=f"{summary['runs']} runs of {'a scenario' if summary['name'] == 'scenario' else summary['name']}",
         verdict=said[0] if said else "Nothing was diagnosed.",
         sections=[
             PageSection("What came out", said[1:]),

@@ -511,7 +511,7 @@ def _attitude(columns: list[str], order: str, guess: bool) -> _Found:
     doubts = [f"order (is the scalar {'last' if order == 'xyzw' else 'first'}?)"] if guess else []
     doubts.append("sense (body relative to the reference, as Wertz; else sense = 'conjugate')")
     if frame is None:
-        doubts.append("relative_to: GCRS J2000 true_of_date ITRS NEC or orbital; `fluxtwin check` tells which fits")
+        doubts.append("relative_to: GCRS J2000 true_of_date ITRS NEC or orbital; `fluxtwin check` says which fits")
     text = "attitude: " + "; ".join(doubts)
     return "attitude", columns, {"order": order, "relative_to": frame or "GCRS"}, [text]
 

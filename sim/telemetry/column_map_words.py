@@ -27,7 +27,7 @@ _OTHER_FRAMES = {
 _OTHER_REFERENCES = {**_OTHER_FRAMES, "LVLH": "orbital"}
 _OTHER_ORDERS = {"scalar_last": "xyzw", "scalar_first": "wxyz"}
 _LOOSE = {
-    "ECI": "any inertial axes; those of date are up to 0.4 deg off (50 arcsec a year from 2000)",
+    "ECI": "axes of date would differ by up to 0.4 deg, 50 arcsec for each year since 2000",
     "GEI": "axes of date; if they are those of J2000, say so",
     "TEME": "its mean equinox lies within 20 arcsec",
     "LVLH": "z nadir, y negative orbit normal",

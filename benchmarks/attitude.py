@@ -7,7 +7,7 @@ four orbits (24,159 steps). Ours works out orbit and field in one batch at nodes
 draws cubics between; Basilisk does it at each step. So does ours where the record says `each_step`, with the readings'
 largest difference. Basilisk's magnetometer reads at each step; ours makes readings of what is logged, which
 saves it some 4 % of its time. Each repeat runs both sides in turn; medians of processor time count. Ours is everything
-from the orbit to the readings, the mean of ten flights in a row (the first of them is told as well); Basilisk's is its bare
+from the orbit to the readings, the mean of ten flights in a row (the first of them is given as well); Basilisk's is its bare
 execution, without its set-up. Basilisk (`pip install bsk`) may live in another interpreter: name it with --basilisk or
 in BASILISK_PYTHON. It gets the field as a file, so nothing is fetched.
 Then an ensemble of vehicles, each with its own orbit, on one core and on all.
@@ -112,7 +112,7 @@ def ten_times(steps: int, node_s: float = NODE_S) -> dict[str, float]:
 
 
 class Basilisk:
-    """A process that flies the same vehicle each time it is told to."""
+    """A process that flies the same vehicle each time it is asked to."""
 
     def __init__(self, python: str, steps: int, folder: Path) -> None:
         field_file = folder / "IGRF.COF"

@@ -8,8 +8,8 @@ Three sets of readings of a magnetometer with 3 % scale errors, non-orthogonalit
   constant  a laboratory: random directions, |B| 500 mG, noise 0.5 mG
   passes    an Earth-pointing polar orbit seen in passes: LSB 4.7 mG, field model wrong by 1.2 mG an axis and pass
 
-Judged: the offset in the reading; the size after calibration less the true size, rms; the angle to the true field after
-the best rotation, rms (no method here can know it). Methods that are not told |B| are granted the best scale. Peers:
+Compared: the offset in the reading; the size after calibration less the true size, rms; the angle to the true field after
+the best rotation, rms (no method here can know it). Methods that do not use |B| are granted the best scale. Peers:
 magyc and magcal from the package registry, left out with the reason where they are absent; an algebraic ellipsoid fit
 (Li & Griffiths 2004) is written here. They suppose |B| constant: `constant` is their case, the others show what comes of
 using them in orbit.
@@ -208,7 +208,7 @@ def contestants() -> tuple[dict[str, Callable[[Set], Answer]], dict[str, str]]:
     return runs, skipped
 
 
-def judge(data: Set, answer: Answer, told: bool) -> dict[str, float]:
+def judge(data: Set, answer: Answer, uses_size: bool) -> dict[str, float]:
     """Offset [mG], size rms [mG], direction rms [deg]."""
     offset, M = answer
     corrected = (data.B_nT - offset) @ M.T
@@ -216,7 +216,7 @@ def judge(data: Set, answer: Answer, told: bool) -> dict[str, float]:
     true = np.linalg.norm(data.true_nT, axis=1)
     if not (np.isfinite(corrected).all() and size.min() > 0):
         raise ArithmeticError("the answer is not finite")
-    scale = 1.0 if told else float(true @ size / (size @ size))
+    scale = 1.0 if uses_size else float(true @ size / (size @ size))
     unit, wanted = corrected / size[:, None], data.true_nT / true[:, None]
     turned, _ = Rotation.align_vectors(wanted, unit)
     angle = np.linalg.norm(np.cross(turned.apply(unit), wanted), axis=1)
@@ -236,7 +236,9 @@ def measure(samples: int, hour: int, repeats: int) -> dict[str, Any]:
         data = build(rows, np.random.default_rng(1975))
         clean = data._replace(B_nT=read(data.true_nT, np.random.default_rng(0), 0.0))
         for who, run in runs.items():
-            results.setdefault(who, {})[name] = attempt(run, data, clean, told=who.startswith(("fluxtwin", "nothing")))
+            results.setdefault(who, {})[name] = attempt(
+                run, data, clean, uses_size=who.startswith(("fluxtwin", "nothing"))
+            )
     return {
         "samples": samples,
         "results": results,
@@ -266,12 +268,12 @@ def spinner(samples: int, repeats: int) -> dict[str, float]:
     }
 
 
-def attempt(run: Callable[[Set], Answer], data: Set, clean: Set, *, told: bool) -> dict[str, Any]:
+def attempt(run: Callable[[Set], Answer], data: Set, clean: Set, *, uses_size: bool) -> dict[str, Any]:
     """One contestant on one set; a failure is an answer too."""
     try:
         with warnings.catch_warnings(), contextlib.redirect_stdout(io.StringIO()), np.errstate(all="ignore"):
             warnings.simplefilter("ignore")
-            return judge(clean, run(data), told)
+            return judge(clean, run(data), uses_size)
     except NoAnswer as reason:
         return {"refused": str(reason)}
     except Exception as reason:  # a peer may raise anything

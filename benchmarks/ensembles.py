@@ -4,7 +4,7 @@
 
 Flies docs/examples/ensemble.toml (a momentum-bias satellite, degree-13 field, control and sensors each second, 24,000
 steps a vehicle, kept each 10 s) by `fly_ensemble`, in files as a user has them: with one process and with one a core.
-Whether the time is linear is told by processor time (this process and those it starts), because the clock's depends on
+Whether the time is linear is measured by processor time (this process and those it starts), because the clock's depends on
 what else the machine does, and so is what several processes gain: their longest way is what this process does besides
 them and an equal share of what they do, as the clock would show were each on a core of its own (the chunks go to
 whoever is free). Each figure is the least of some repeats. Then 16 vehicles on one orbit, and 16 on an orbit each,
@@ -49,7 +49,7 @@ PARTS: list[tuple[Any, str, str]] = [
     (plan, "vehicle_scenario", "drawing and checking"),
     (chunk, "around", "orbit and field"),
     (scenario_dynamics, "_surroundings", "orbit and field"),
-    (scenario_dynamics, "_knowledge", "errors that the law is told"),
+    (scenario_dynamics, "_knowledge", "errors of the attitude given to the law"),
     (scenario_dynamics, "fly", "torques, control, integration"),
     (chunk, "simulate", "attitude at the samples, sensors"),
     (chunk, "series", "figures of a vehicle"),
@@ -182,7 +182,7 @@ def _alone(quick: bool, vehicles: int) -> float:
 
 
 def shares(scenario: Scenario, vehicles: int) -> dict[str, float]:
-    """Milliseconds of processor time a vehicle of every part; what torques cost is told by flying without them."""
+    """Milliseconds of processor time a vehicle of every part; what torques cost is found by flying without them."""
     clock = Clock()
     with clock.running():
         total = seconds_of(scenario, vehicles, 1).processor_s

@@ -6,7 +6,7 @@
     python benchmarks/golden.py --quick          one of each but the studies: does it still run?
 
 For a change of how the product is built, not of what it says. Of each answer golden.json keeps a digest and a line of
-words, which tells what an answer was once it has changed. Telemetry and truth are compared bit by bit. Of a number in an
+words, which shows what an answer was once it has changed. Telemetry and truth are compared bit by bit. Of a number in an
 estimate six digits count (none where it is nothing beside its neighbours): the last bits of a sum depend on where in
 memory its terms lie, so they differ from checkout to checkout of one commit. All of it takes twenty minutes of a core,
 on one machine and with one set of versions: write the file anew at the commit before, then compare.
@@ -250,7 +250,7 @@ def check(name: str, folder: Path) -> Answer:
     kind = name.rsplit(" ", 1)[0]
     model = fluxtwin.load_field("igrf14")
     case = traps_cases.fly(stream(SEED, f"traps.{name}"), model, kind)
-    traps_cases.spoil(case, kind)
+    traps_cases.corrupt(case, kind)
     path = traps_cases.write(case, folder / "record.csv")
     said = spoken(lambda: fluxtwin.check(path).to_dict())
     return digest(said), said.get("error") or ", ".join(

@@ -315,7 +315,7 @@ class Checkout:
         path.write_text(right, encoding="utf-8")
         alone = self.sound(by) if by.startswith("tests") else by and self.sound(*first, *others, limit_s=LIMIT_S // 2)
         if alone and by != "no end":
-            raise SystemExit(f"{by}: does not pass as it is, so it tells nothing")
+            raise SystemExit(f"{by}: does not pass as it is, so it shows nothing")
         return "" if alone else by
 
 

@@ -113,7 +113,7 @@ def torquers(tree: Tree) -> None:
 
 
 def tumbling(tree: Tree) -> None:
-    """So that |B| alone tells S."""
+    """So that |B| alone determines S."""
     tree["spacecraft"]["inertia_kg_m2"] = [[0.05, 0.0, 0.0], [0.0, 0.06, 0.0], [0.0, 0.0, 0.04]]
     tree["attitude"] = {"mode": "tumble", "rate_deg_s": [0.12, 0.08, 0.2], "reference": tree["attitude"]["reference"]}
 

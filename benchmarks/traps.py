@@ -5,9 +5,9 @@
     python benchmarks/traps.py --seed N [--kind NAME ...] [--count N] [--good N] [--wrong]
 
 Each record is flown on its own orbit (500 to 800 km, elliptic too) in its own attitude mode, with its own sampling,
-length, noise, step, bias and attitude errors, spoilt in one way, written to a CSV file and given to `check_file`. A name is
-right when the *first* trap is the right one, with the right words, and no other trap stands beside it. The code that
-spoils shares nothing with the code that judges: frames come from ERFA and plain vector algebra.
+length, noise, step, bias and attitude errors, corrupted in one way, written to a CSV file and given to `check_file`. A
+name is right when the *first* trap is the right one, with the right words, and no other trap is named. The code that
+corrupts shares nothing with the code that checks: frames come from ERFA and plain vector algebra.
 """
 
 # ruff: noqa: E402  (the thread counts must be set before numpy is loaded)
@@ -29,7 +29,7 @@ from tempfile import TemporaryDirectory
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import numpy as np
-from traps_cases import GOOD, KINDS, Case, Wanted, fly, spoil, write
+from traps_cases import GOOD, KINDS, Case, Wanted, corrupt, fly, write
 
 from fluxtwin.calib.checks.check import CheckReport, check_file
 from fluxtwin.sim.base.errors import BadInput
@@ -51,7 +51,7 @@ def main() -> int:
     totals: dict[str, list[int]] = {}
     for kind in [*kinds, *([GOOD] if good else [])]:
         for number in range(good if kind == GOOD else count):
-            verdict, words = judged(kind, seed, number, model)
+            verdict, words = outcome(kind, seed, number, model)
             row = totals.setdefault(kind, [0, 0, 0, 0])
             row[("right", "not visible", "nothing named", "wrong").index(verdict)] += 1
             if options.wrong and verdict not in ("right", "not visible"):
@@ -60,10 +60,10 @@ def main() -> int:
     return 0
 
 
-def judged(kind: str, seed: int, number: int, model: FieldModel) -> tuple[str, str]:
+def outcome(kind: str, seed: int, number: int, model: FieldModel) -> tuple[str, str]:
     """The verdict on one record, and what was said of it."""
     case = fly(stream(seed, f"traps.{kind}.{number}"), model, kind)
-    wanted = spoil(case, kind)
+    wanted = corrupt(case, kind)
     with TemporaryDirectory() as folder:
         path = write(case, Path(folder) / "record.csv")
         try:
@@ -90,9 +90,9 @@ def _table(totals: dict[str, list[int]], seconds: float) -> None:
     print(f"{'kind':34s} {'right':>6s} {'unseen*':>8s} {'silent':>7s} {'wrong':>6s}  of")
     for kind, row in totals.items():
         print(f"{kind:34s} {row[0]:6d} {row[1]:8d} {row[2]:7d} {row[3]:6d}  {sum(row)}")
-    spoilt = np.array([row for kind, row in totals.items() if kind != GOOD and not KINDS[kind].apart])
-    if len(spoilt):
-        right, n = int(spoilt[:, 0].sum()), int(spoilt.sum())
+    corrupted = np.array([row for kind, row in totals.items() if kind != GOOD and not KINDS[kind].apart])
+    if len(corrupted):
+        right, n = int(corrupted[:, 0].sum()), int(corrupted.sum())
         print(f"named right: {right} of {n} = {100 * right / n:.1f} %  (the rows 'seconds' apart)")
     if GOOD in totals:
         row = totals[GOOD]

@@ -25,7 +25,7 @@ class Cluster:
 @contextmanager
 def cluster(folder: Path, count: int) -> Iterator[Cluster]:
     """A scheduler and `count` workers of one thread each, ended at the end."""
-    told = folder / "scheduler.json"
+    address_file = folder / "scheduler.json"
     words = [sys.executable, "-m"]
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "cwd": folder}
     scheduler = subprocess.Popen(
@@ -38,7 +38,7 @@ def cluster(folder: Path, count: int) -> Iterator[Cluster]:
             "0",
             "--no-dashboard",
             "--scheduler-file",
-            str(told),
+            str(address_file),
         ],
         **quiet,  # type: ignore[call-overload]
     )
@@ -47,8 +47,8 @@ def cluster(folder: Path, count: int) -> Iterator[Cluster]:
         patience = time.monotonic() + _PATIENCE_S
         while not made.address and time.monotonic() < patience:
             time.sleep(0.05)
-            if told.exists() and told.read_text(encoding="utf-8").rstrip().endswith("}"):
-                made.address = json.loads(told.read_text(encoding="utf-8"))["address"]
+            if address_file.exists() and address_file.read_text(encoding="utf-8").rstrip().endswith("}"):
+                made.address = json.loads(address_file.read_text(encoding="utf-8"))["address"]
         for number in range(count):
             place = folder / f"worker-{number}"
             place.mkdir()

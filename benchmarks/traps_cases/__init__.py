@@ -1,4 +1,4 @@
-"""Good records, and the ways to spoil them. Nothing here is shared with `sim.check`."""
+"""Good records, and the ways to corrupt them. Nothing here is shared with `sim.check`."""
 
 from __future__ import annotations
 
@@ -195,7 +195,7 @@ def _to_E(time: np.ndarray, v_N: FloatArray) -> FloatArray:
     return out
 
 
-# ---------------------------------------------------------------------------------------------- ways to spoil
+# ---------------------------------------------------------------------------------------------- ways to corrupt
 
 
 def _unit(low: float, high: float, words: str, *values: float) -> Callable[[Case], Wanted]:
@@ -384,11 +384,11 @@ def _rows_swapped(case: Case) -> Wanted:
 
 @dataclass(frozen=True)
 class Kind:
-    """One way to spoil a record."""
+    """One way to corrupt a record."""
 
     act: Callable[[Case], Wanted]
     attitude_free: bool = False
-    """Records without attitude may be spoilt so, too."""
+    """Records without attitude may be corrupted so, too."""
     shortest_s: float | None = None
     apart: bool = False
     """Shown beside the total: whether it can be seen depends on the record."""
@@ -427,8 +427,8 @@ KINDS: dict[str, Kind] = {
 }
 
 
-def spoil(case: Case, kind: str) -> Wanted | None:
-    """Spoil the record in place; what `check` ought to say, None for a good record."""
+def corrupt(case: Case, kind: str) -> Wanted | None:
+    """Corrupt the record in place; what `check` ought to say, None for a good record."""
     return None if kind == GOOD else KINDS[kind].act(case)
 
 

@@ -70,10 +70,10 @@ def _closed(store: Store, identity: str, found: Any, asked: dict[str, Any]) -> A
             asked["noise_nT"], asked["lsb_nT"], asked["attitude_sigma_deg"], None, None, asked["degree"]
         )
         path = store.path("telemetry", identity).resolve()
-        told, scene = close(found, scenario=None, telemetry=path, declared=declared)
+        closed, scene = close(found, scenario=None, telemetry=path, declared=declared)
         if scene is not None:
             save_scenario(scene, store.path("closed", identity))
-        return told
+        return closed
     except Exception as error:  # the answer stands without its closing
         store.path("closed", identity).with_suffix(".error").write_text(f"{type(error).__name__}: {error}\n")
         return found

@@ -13,7 +13,7 @@ from withheld_cases.statistics import median
 
 SENSORS = ("sun_sensor_head_misalignment", "horizon_scanner_bias")
 """Effects that are faults of the sensors of sun and nadir."""
-TOLD = "compared"
+COMPARED = "compared"
 """Reach of a row that is there to be compared with another."""
 
 
@@ -55,15 +55,19 @@ def second_channel(cases: Sequence[Judged]) -> list[dict[str, Any]]:
     others = of(cases, "sensed", names=lambda c: c.truths[0] not in SENSORS)
     return [
         *_both(nulls, "no gap on a perfect simulation", ">= 99 %", lambda c: c.quiet, 0.99),
-        *_both(singles, "single, with a Jacobian, visible >= 0.2: list exactly right", TOLD, lambda c: c.list_right),
-        *_both(faults, "fault of an attitude sensor, visible >= 0.2: list exactly right", TOLD, lambda c: c.list_right),
+        *_both(
+            singles, "single, with a Jacobian, visible >= 0.2: list exactly right", COMPARED, lambda c: c.list_right
+        ),
+        *_both(
+            faults, "fault of an attitude sensor, visible >= 0.2: list exactly right", COMPARED, lambda c: c.list_right
+        ),
         *_both(
             faults,
             "fault of an attitude sensor: the same, and no other name in the group",
-            TOLD,
+            COMPARED,
             lambda c: c.list_right and len(names_of(c.effects[0])) == 1,
         ),
-        *_both(others, "another cause, visible >= 0.2: list exactly right", TOLD, lambda c: c.list_right),
+        *_both(others, "another cause, visible >= 0.2: list exactly right", COMPARED, lambda c: c.list_right),
         *_both(others, "another cause: a fault of an attitude sensor named", "<= 5 %", _blamed, 0.0, 0.05),
     ]
 
@@ -84,7 +88,7 @@ def _both(
     absent = [case for case in cases if not has(case)]
     return [
         share_row(f"{words[0]}{title}", reach, there, test, least, most),
-        share_row(f"{words[1]}{title}", TOLD, absent, test, 0.0),
+        share_row(f"{words[1]}{title}", COMPARED, absent, test, 0.0),
     ]
 
 
@@ -135,10 +139,10 @@ def richer_field(cases: Sequence[Judged]) -> list[dict[str, Any]]:
         ("field of the model", [case for case in singles if not is_richer(case)]),
     ):
         rows += [
-            share_row(f"{words}, single, visible >= 0.2: first name", TOLD, mine, lambda c: c.first_right, 0.0),
-            share_row(f"{words}: list exactly right", TOLD, mine, lambda c: c.list_right, 0.0),
-            share_row(f"{words}: false extra", TOLD, mine, lambda c: c.extra, 0.0),
-            share_row(f"{words}: verdict unknown", TOLD, mine, lambda c: c.verdict == "unknown", 0.0),
+            share_row(f"{words}, single, visible >= 0.2: first name", COMPARED, mine, lambda c: c.first_right, 0.0),
+            share_row(f"{words}: list exactly right", COMPARED, mine, lambda c: c.list_right, 0.0),
+            share_row(f"{words}: false extra", COMPARED, mine, lambda c: c.extra, 0.0),
+            share_row(f"{words}: verdict unknown", COMPARED, mine, lambda c: c.verdict == "unknown", 0.0),
         ]
     return rows
 

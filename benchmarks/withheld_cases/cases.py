@@ -145,7 +145,7 @@ class Case:
 
 
 def identity(seed: int, population: str, number: int) -> str:
-    """A name that tells nothing."""
+    """A name that gives nothing away."""
     return hashlib.sha256(f"{seed}/{population}/{number}".encode()).hexdigest()[:12]
 
 
@@ -389,7 +389,7 @@ def richer_nT(world: World) -> float:
 
 
 def question(case: Case) -> dict[str, Any]:
-    """What the diagnosis is told besides the telemetry: as a user would."""
+    """What the diagnosis is given besides the telemetry: as a user would."""
     flagless = case.population in ("nulls_undeclared", "singles_undeclared", *null_regimes.UNDECLARED)
     return (undeclared if flagless else declared)(case.identity, case.world)
 

@@ -69,7 +69,7 @@ class Truth:
     codes: Callable[[World, np.random.Generator, FloatArray, float], FloatArray] | None = None
     """Telemetered reading from the rounded one; the last argument is the LSB."""
     packets: bool = False
-    """Whether `codes` moves whole packets, which hold both sensors' readings; if not, it spoils words of the first."""
+    """Whether `codes` moves whole packets, which hold both sensors' readings; if not, it corrupts words of the first."""
     signal: bool = True
     """Seen without noise: False for what is known by its distribution only."""
     notes: tuple[str, ...] = ()
@@ -198,13 +198,13 @@ def fly(world: World, truths: Sequence[Truth], clean: Clean | None = None) -> Te
     reference = attitude_with_error(
         world.time, clean.R_BN, budget.attitude_sigma_rad, budget.attitude_tau_s, stream(world.key, "reference")
     )
-    told = record(world, reading, clean, reference)
+    flown = record(world, reading, clean, reference)
     if world.second is not None:
-        told = told.replace(mag2_B_nT=second_reading_nT(world, truths))
+        flown = flown.replace(mag2_B_nT=second_reading_nT(world, truths))
     if world.sensors is None:
-        return told
+        return flown
     sun_B, nadir_B = attitude_sensors.vectors(world, truths)
-    return told.replace(sun_B=sun_B, nadir_B=nadir_B)
+    return flown.replace(sun_B=sun_B, nadir_B=nadir_B)
 
 
 def outliers_nT(world: World) -> FloatArray:

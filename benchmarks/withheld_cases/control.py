@@ -31,11 +31,11 @@ def wrong(root: str, identity: str) -> str:
         return identity
     said: dict[str, Any]
     try:
-        scene, told = with_wrong(store, identity)
+        scene, facts = with_wrong(store, identity)
         found = fluxtwin.diagnose(
             store.path("second", identity), scenario=scene, **arguments(store.read("asked", identity))
         )
-        said = {"verdict": found.verdict, **told}
+        said = {"verdict": found.verdict, **facts}
     except Exception as error:
         said = {"verdict": "error", "error": f"{type(error).__name__}: {error}"}
     store.write("control", identity, said)

@@ -55,7 +55,7 @@ def followed(world: World) -> World:
     """The world with a gyro in the record where the body turns more than a radian from row to row.
 
     Attitudes so far apart do not say which way and how often the body has turned in between, and a cause that acts on
-    what happens between the stamps cannot be told from the record at all.
+    what happens between the stamps cannot be known from the record at all.
     """
     turn = 2.0 * np.pi * world.step_s / world.turn_period_s()
     return recording(world, "rate_B_rad_s") if turn > 1.0 else world

@@ -330,7 +330,7 @@ def recorded(world: World, columns: Mapping[str, Column], drawn: Drawn | None, h
 
 
 def draw_columns(rng: np.random.Generator) -> dict[str, Column]:
-    """Eight columns in an order that tells nothing."""
+    """Eight columns in an order that gives nothing away."""
     order = rng.permutation(len(_EIGHT))
     found = {}
     for letter, place in zip("ABCDEFGH", order.tolist(), strict=True):
@@ -403,17 +403,17 @@ def _write(
     )
     write_telemetry(record, store.path("telemetry", name))
     store.write("asked", name, cases.declared(name, world) | {"rival": "laws_rival"})
-    told = [
+    listed = [
         {"name": t.name, "stage": t.stage, "parameters": {}, "signal": t.signal, "visible": size[1], "size": size[0]}
         for t in truths
     ]
-    lit, told_of = sunlight(world, world.time), ("array_current_A", "battery_current_A", "temperature_degC")
-    there = {one: np.asarray(getattr(record, one)) for one in told_of if getattr(record, one) is not None}
+    lit, housekeeping = sunlight(world, world.time), ("array_current_A", "battery_current_A", "temperature_degC")
+    there = {one: np.asarray(getattr(record, one)) for one in housekeeping if getattr(record, one) is not None}
     like = [one for one, values in there.items() if np.ptp(values) > 0 and np.corrcoef(values, lit)[0, 1] > LIKE]
     sealed = (
         {"label": "", "how": how, "columns": [], "like_sunlight": like}
         | base
-        | {"truths": told}
+        | {"truths": listed}
         | cases.sealed_world(world)
     )
     store.write("sealed", name, sealed)

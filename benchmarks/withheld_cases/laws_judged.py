@@ -26,7 +26,7 @@ from withheld_cases.statistics import median
 from withheld_cases.store import Store
 from withheld_cases.twins import left, residual
 
-TOLD = "compared"
+COMPARED = "compared"
 RIVALS = {"lasso": "lasso (scikit-learn)", "sindy": "STLSQ (pysindy)"}
 _TIMED = ("since ", "until ")
 _DONE = ("not", "cos", "sin", "cos2", "sin2", "e")
@@ -241,10 +241,10 @@ def rows(cases: Sequence[Judged]) -> list[dict[str, Any]]:
             "law outside the catalogue, visible >= 1: right columns, no other", ">= 85 %", laws, right_columns, 0.85
         ),
         share_row("the same: right form", ">= 70 %", laws, right_form, 0.70),
-        share_row("the same: right columns, recorded exactly", TOLD, exact, right_columns, 0.0),
-        share_row("the same: right form, recorded exactly", TOLD, exact, right_form, 0.0),
-        share_row("the same: a law is given", TOLD, laws, has_law, 0.0),
-        share_row("the same: a law with a wrong column", TOLD, laws, _wrong, 0.0),
+        share_row("the same: right columns, recorded exactly", COMPARED, exact, right_columns, 0.0),
+        share_row("the same: right form, recorded exactly", COMPARED, exact, right_form, 0.0),
+        share_row("the same: a law is given", COMPARED, laws, has_law, 0.0),
+        share_row("the same: a law with a wrong column", COMPARED, laws, _wrong, 0.0),
         number_row(
             "closed on another day over an oracle's: median of all",
             ">= 0.9",
@@ -252,8 +252,8 @@ def rows(cases: Sequence[Judged]) -> list[dict[str, Any]]:
             len(shares),
             median(shares) >= 0.9,
         ),
-        number_row("the same: mean of all, without a law none is closed", TOLD, _mean(shares), len(shares), None),
-        number_row("the same: median of those with a law", TOLD, median(found), len(found), None),
+        number_row("the same: mean of all, without a law none is closed", COMPARED, _mean(shares), len(shares), None),
+        number_row("the same: median of those with a law", COMPARED, median(found), len(found), None),
         share_row(
             "no law, eight columns that nothing follows: false column",
             "<= 3 %",
@@ -263,8 +263,8 @@ def rows(cases: Sequence[Judged]) -> list[dict[str, Any]]:
             0.03,
         ),
         share_row("cause in the catalogue, eight such columns: false column", "<= 5 %", known, _false, 0.0, 0.05),
-        share_row("the same: a law of any recorded column", TOLD, known, _of_a_column, 0.0),
-        share_row("the same: any law", TOLD, known, has_law, 0.0),
+        share_row("the same: a law of any recorded column", COMPARED, known, _of_a_column, 0.0),
+        share_row("the same: any law", COMPARED, known, has_law, 0.0),
     ]
     return found_rows + _rivals(laws, nulls)
 
@@ -274,9 +274,11 @@ def _rivals(laws: Sequence[Judged], nulls: Sequence[Judged]) -> list[dict[str, A
     found = []
     for key, word in RIVALS.items():
         if any(key in (c.rival or {}) for c in (*both, *quiet)):
-            found.append(share_row(f"{word}: right columns", TOLD, both, lambda c, key=key: _same(c, key), 0.0))
+            found.append(share_row(f"{word}: right columns", COMPARED, both, lambda c, key=key: _same(c, key), 0.0))
             found.append(
-                share_row(f"{word}: false column in nulls", TOLD, quiet, lambda c, key=key: bool(_theirs(c, key)), 0.0)
+                share_row(
+                    f"{word}: false column in nulls", COMPARED, quiet, lambda c, key=key: bool(_theirs(c, key)), 0.0
+                )
             )
     return found
 
@@ -308,8 +310,8 @@ def _of_a_column(case: Judged) -> bool:
 
 def _share(case: Judged) -> float:
     """Closed by the law over closed by the oracle, on the other day."""
-    told = case.twin or {}
-    return float(np.clip(told["closed_law"] / max(told["closed_oracle"], 1e-9), 0.0, 1.2))
+    closed = case.twin or {}
+    return float(np.clip(closed["closed_law"] / max(closed["closed_oracle"], 1e-9), 0.0, 1.2))
 
 
 def _mean(values: Sequence[float]) -> float | None:

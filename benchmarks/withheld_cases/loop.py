@@ -33,6 +33,6 @@ def again(root: str, identity: str) -> str:
 def transfers(store: Store, identity: str) -> bool:
     """Whether the closed scenario says of every effect that it holds with the attitude as flown on other days."""
     tree = tomllib.loads(store.path("closed", identity).read_text(encoding="utf-8"))
-    told = tree.get("closure", {}).get("transfer", [])
-    as_flown = [one for one in told if str(one.get("design", "")).startswith("attitude as flown")]
+    designs = tree.get("closure", {}).get("transfer", [])
+    as_flown = [one for one in designs if str(one.get("design", "")).startswith("attitude as flown")]
     return all(bool(one.get("transfers", True)) for one in as_flown)

@@ -131,7 +131,7 @@ WHERE = {
     "solar_pressure_torque": ("bias", "wheels"),
     "gravity_gradient_inertia_error": ("bias", "wheels", "tumble"),
 }
-"""Regimes in which a truth can be told from the free start of a window."""
+"""Regimes in which a truth can be distinguished from the free start of a window."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -319,7 +319,7 @@ def _drawn(
     sized = _sized(craft, around, chosen, target, world)
     if sized is None:
         return None
-    told = {
+    sealed = {
         "name": turned,
         "stage": "dynamics",
         "parameters": chosen.parameters(sized.size),
@@ -329,7 +329,7 @@ def _drawn(
         "size": sized.size,
         "chi_square": sized.chi_square,
     }
-    return craft, dataclasses.replace(world, motion=_motion(sized.flown, craft)), [told]
+    return craft, dataclasses.replace(world, motion=_motion(sized.flown, craft)), [sealed]
 
 
 def _flight(craft: Craft, around: Surroundings, chosen: Turned | None, size: float) -> Flown:

@@ -15,7 +15,7 @@ from withheld_cases.rows import counted_row, distributional, number_row, of, sha
 
 FAINT = (0.1, 0.2)
 SURE = 0.95
-TOLD = "compared"
+COMPARED = "compared"
 
 
 def rows(cases: Sequence[Judged]) -> list[dict[str, Any]]:
@@ -47,7 +47,7 @@ def _joining(cases: Sequence[Judged]) -> list[dict[str, Any]]:
         share_row(f"{title}: first name", ">= 98 %", signals, lambda c: c.first_right, 0.98),
         share_row("the same: list exactly right", ">= 95 %", signals, lambda c: c.list_right, 0.95),
         share_row("the same: stage right", ">= 95 %", signals, lambda c: c.stage_right, 0.95),
-        share_row("the same, known by distribution: list exactly right", TOLD, noises, lambda c: c.list_right, 0.0),
+        share_row("the same, known by distribution: list exactly right", COMPARED, noises, lambda c: c.list_right, 0.0),
     ]
 
 
@@ -63,7 +63,7 @@ def _faint(cases: Sequence[Judged]) -> list[dict[str, Any]]:
             lambda c: c.first_right or honest_silence(c),
             0.95,
         ),
-        share_row("the same: first name", TOLD, mine, lambda c: c.first_right, 0.0),
+        share_row("the same: first name", COMPARED, mine, lambda c: c.first_right, 0.0),
         share_row("the same: wrong name", "<= 2 %", mine, lambda c: c.extra, 0.0, 0.02),
     ]
 
@@ -90,7 +90,7 @@ def _stated(cases: Sequence[Judged]) -> list[dict[str, Any]]:
     mean = float(np.mean(sizes)) if sizes else None
     return [
         counted_row("names stated at 95 % or more: present", ">= 97 %", sum(hits), len(hits), 0.97),
-        number_row("mean set size, everything named of records with a truth", TOLD, mean, len(sizes), None),
+        number_row("mean set size, everything named of records with a truth", COMPARED, mean, len(sizes), None),
     ]
 
 
@@ -98,7 +98,7 @@ def _time(cases: Sequence[Judged]) -> dict[str, Any]:
     """The time that one diagnosis in a hundred exceeds."""
     times = [float(case.said.get("seconds", 0.0)) for case in cases]
     worst = float(np.quantile(times, 0.99)) if times else None
-    return number_row("processor time of a diagnosis, worst of 100 [s]", TOLD, worst, len(times), None)
+    return number_row("processor time of a diagnosis, worst of 100 [s]", COMPARED, worst, len(times), None)
 
 
 def outside_list(cases: Sequence[Judged]) -> str:

@@ -1,6 +1,6 @@
 """The rival: stepwise regression by an information criterion, as a plain statistician would do it.
 
-It has what the diagnosis has: the same Jacobians, the same choice of noise and whitening (spoilt readings cut), the
+It has what the diagnosis has: the same Jacobians, the same choice of noise and whitening (outliers cut), the
 calibration always in. It is linear. An effect goes in or out as a whole, by its best alternative; forward and backward
 steps are taken in turn until neither helps. It has no gate, no refit, no look at what is left. Names that do as well as
 the one it took are a group, as in the diagnosis. It answers twice, by BIC and by EBIC.

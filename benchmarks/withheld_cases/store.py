@@ -1,7 +1,7 @@
 """Where a run lives on disk, and the seal on its answers.
 
     OUT/run.json            seed, commit, populations: what a resumed run must agree with
-    OUT/asked/ID.json       what the diagnosis is told
+    OUT/asked/ID.json       what the diagnosis is given
     OUT/telemetry/ID.csv    what it is given
     OUT/said/ID.json        what it answered (and OUT/closed/ID.toml, the scenario with what it named)
     OUT/sealed/ID.json      the truth; never read before all has been said

@@ -60,12 +60,12 @@ def against_twin(
     target = store.root / folder / f"{identity}.toml"
     target.write_text(tomli_w.dumps(tree), encoding="utf-8")
     sealed = store.read("sealed", identity)
-    told, _ = simulate(load_scenario(target))
+    twin, _ = simulate(load_scenario(target))
     flown = read_telemetry(store.path("twin", identity))
-    flown = flown.select(np.isin(flown.time, told.time))  # a replay has no rows without attitude
+    flown = flown.select(np.isin(flown.time, twin.time))  # a replay has no rows without attitude
     one, predicted = residual(flown, sealed["degree"])
-    other, _ = residual(told, sealed["degree"])
-    known = flown.has_attitude & told.has_attitude
+    other, _ = residual(twin, sealed["degree"])
+    known = flown.has_attitude & twin.has_attitude
     return one[known], other[known], predicted[known], list(sealed["modelled"])
 
 

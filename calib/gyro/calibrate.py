@@ -38,7 +38,7 @@ _COLLAPSED = 0.3
 """Share of the reading that must be left: a body that does not turn reads a field like a bias, and b = -B fits it."""
 _SLOW = 30.0
 """Rates in noises of a rate: below, answers were seen that are wrong by many of their sigmas."""
-_SHAKEN = 2.0  # noises of the gyro, in the trial with a magnetometer without errors
+_PERTURBED = 2.0  # noises of the gyro, in the trial with a magnetometer without errors
 _REPEATED = float(chi2.ppf(0.999, 3))
 
 
@@ -219,9 +219,9 @@ def _require_no_false_turns(
     again = used.mag_B_nT - columns @ solved.fields_nT
     field = fields_without_errors(used.time, again, rates, cuts, length_s, weights)
     again[solved.rows] = field + np.sqrt(solved.variance_nT2) * rng.standard_normal(field.shape)
-    shaken = rates + _SHAKEN * solved.gyro_noise_rad_s * rng.standard_normal(rates.shape)
+    perturbed = rates + _PERTURBED * solved.gyro_noise_rad_s * rng.standard_normal(rates.shape)
     with_S, kept = options.parameters != "b", (weights > 0.01).astype(np.float64)
-    found = solve(used.time, again, shaken, cuts, length_s, columns, with_S=with_S, weights=kept)
+    found = solve(used.time, again, perturbed, cuts, length_s, columns, with_S=with_S, weights=kept)
     if float(found.b_nT @ np.linalg.solve(found.covariance[9:, 9:], found.b_nT)) > _REPEATED:
         raise NoAnswer(
             say("gyro.false_turns", size=np.linalg.norm(found.b_nT)),

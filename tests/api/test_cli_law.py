@@ -31,9 +31,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_law_stands_in_the_sentence_the_json_and_the_page(folder: Path) -> None:
-    told = json.loads((folder / "gap.json").read_text(encoding="utf-8"))
-    assert told["verdict"] == "unknown" and told["law"]["sentence"] in told["sentence"]
-    (term,) = told["law"]["terms"]
+    answer = json.loads((folder / "gap.json").read_text(encoding="utf-8"))
+    assert answer["verdict"] == "unknown" and answer["law"]["sentence"] in answer["sentence"]
+    (term,) = answer["law"]["terms"]
     assert (term["of"], term["axes"], term["lag_s"]) == (["driver_payload", "sunlit"], "body", 0.0)
     assert abs(term["delay_s"] - 40.0) < 20.0, "within a row"
     for axis, k in zip("xyz", (24.0, -12.0, 6.0), strict=True):
@@ -55,6 +55,6 @@ def test_the_closed_scenario_flies_and_frozen_leaves_no_gap(cli: Cli, folder: Pa
 def test_without_the_field_there_is_no_word_of_a_law(cli: Cli, folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "none.toml"
     outcome = cli("diagnose", folder / "bare.csv", *DECLARED, "--close", out, "--json", tmp_path / "none.json")
-    told = json.loads((tmp_path / "none.json").read_text(encoding="utf-8"))
-    assert told["verdict"] == "no_gap" and "law" not in told and not out.exists()
+    answer = json.loads((tmp_path / "none.json").read_text(encoding="utf-8"))
+    assert answer["verdict"] == "no_gap" and "law" not in answer and not out.exists()
     assert "law" not in outcome.out  # type: ignore[attr-defined]

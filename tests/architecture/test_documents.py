@@ -58,8 +58,8 @@ def test_every_effect_and_its_keys_are_described():
     for effect in CATALOGUE:
         (section,) = re.findall(rf"^### {effect.name}\n(.*?)(?=^##|\Z)", text, flags=re.MULTILINE | re.DOTALL)
         keys = keys_of(effect)
-        told = keys if len(keys) < 7 else (keys[0], keys[-1])  # of 18 or 30 alike the first and the last
-        names = [key.name for key in told] + [item.name for item in dataclasses.fields(effect)]
+        listed = keys if len(keys) < 7 else (keys[0], keys[-1])  # of 18 or 30 alike the first and the last
+        names = [key.name for key in listed] + [item.name for item in dataclasses.fields(effect)]
         assert [name for name in names if f"`{name}`" not in section] == []
 
 

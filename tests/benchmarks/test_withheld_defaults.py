@@ -107,13 +107,13 @@ def test_long_flights_gaps_and_outliers_are_what_they_say(close: Close) -> None:
 def test_the_second_sensor_solves_equation_1_by_itself(close: Close) -> None:
     world = null_regimes.two_sensors(np.random.default_rng(2), "nadir")
     assert world.second is not None
-    told, second = chain.fly(world, ()), world.second
+    flown, second = chain.fly(world, ()), world.second
     field = chain.ambient(world, (), world.time)
-    off = np.asarray(told.mag2_B_nT) @ (np.eye(3) + second.S).T + second.b_nT - field
+    off = np.asarray(flown.mag2_B_nT) @ (np.eye(3) + second.S).T + second.b_nT - field
     noise = np.hypot(second.budget.noise_nT, second.budget.lsb_nT / np.sqrt(12.0))
     close(off.std() / noise, 1.0, atol=0.1, unit="1", because="300 rows and more: sigma 2.4 %, four of them")
     assert np.abs(off.mean(axis=0)).max() < 5.0 * noise / np.sqrt(len(off))
-    apart = np.corrcoef(off[:, 0], (told.mag_B_nT @ (np.eye(3) + world.S).T + world.b_nT - field)[:, 0])[0, 1]
+    apart = np.corrcoef(off[:, 0], (flown.mag_B_nT @ (np.eye(3) + world.S).T + world.b_nT - field)[:, 0])[0, 1]
     assert abs(apart) < 0.25, "noise of its own"
 
 

@@ -139,8 +139,8 @@ def test_a_driver_is_its_recorded_column_some_minutes_ago(seed: int) -> None:
     world, truth = drawn(joining.driver, small_world("nadir", rows=500, step_s=20.0), 100.0, seed)
     p, name = truth.parameters, truth.parameters["column"]
     late = dataclasses.replace(world, time=shift(world.time, -p["late_s"]))
-    told = twin(late, ())
-    column = told.flags["payload"] if name == "flag_payload" else np.asarray(getattr(told, name))
+    flown = twin(late, ())
+    column = flown.flags["payload"] if name == "flag_payload" else np.asarray(getattr(flown, name))
     off = np.abs(at_sensor(world, truth) - np.outer(column, p["k_nT_per_unit"]))
     finest = {"flag_payload": 0.0, "temperature_degC": 0.05}.get(name, 0.005)
     slack = 2.0 * finest * np.abs(p["k_nT_per_unit"]).max() + 1e-3

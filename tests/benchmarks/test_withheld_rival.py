@@ -27,7 +27,7 @@ def flight(regime: str = "slews") -> World:
     return dataclasses.replace(world, recorded=frozenset(OPTIONAL))
 
 
-def told(world: World) -> dict[str, float]:
+def declared(world: World) -> dict[str, float]:
     """What a user would declare."""
     budget = world.budget
     return {
@@ -55,7 +55,7 @@ def test_an_obvious_single_is_found(name: str, tmp_path: Path) -> None:
     assert draft is not None
     truth: Truth = draft.at(draft.start * 20.0)
     write_telemetry(fly(draft.world, [truth]), tmp_path / "flight.csv")
-    found = rival.answer(tmp_path / "flight.csv", **told(draft.world))
+    found = rival.answer(tmp_path / "flight.csv", **declared(draft.world))
     assert sorted(found) == ["BIC", "EBIC"]
     for groups in found.values():
         assert groups and name in groups[0], "the first, or in its group"
@@ -64,7 +64,7 @@ def test_an_obvious_single_is_found(name: str, tmp_path: Path) -> None:
 
 def test_a_plain_null_is_white_and_alarms_no_more_often_than_bic_allows() -> None:
     world = flight()
-    said = told(world)
+    said = declared(world)
     budget = Budget(said["noise_nT"], said["lsb_nT"], float(np.radians(said["attitude_sigma_deg"])))
     found = rival.regression(fly(world, ()), budget=budget)
     spread = np.sqrt(2.0 / found.samples)

@@ -91,8 +91,8 @@ def test_the_same_flight_has_a_second_magnetometer_and_nothing_else(population: 
     assert less.mag2_B_nT is None and np.isfinite(more.mag2_B_nT).all()
     for name in ("time", "mag_B_nT", "r_N_km", "q_NB", "sunlit", "dipole_B_Am2"):
         assert np.array_equal(getattr(more, name), getattr(less, name), equal_nan=name == "q_NB"), name
-    told, bare = question(two), question(one)
-    assert told.pop("case") != bare.pop("case") and told == bare
+    full, bare = question(two), question(one)
+    assert full.pop("case") != bare.pop("case") and full == bare
     sealed, plain = answer(two), answer(one)
     assert sealed["truths"] == plain["truths"] and "second_magnetometer" not in plain
     assert sealed["second_magnetometer"]["spacecraft_factor"] == two.world.second.spacecraft_factor  # type: ignore[union-attr]

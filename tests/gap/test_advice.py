@@ -1,4 +1,4 @@
-"""Doubts about the attitude, and advice in hours."""
+"""Warnings about the attitude, and advice in hours."""
 
 from __future__ import annotations
 

@@ -99,7 +99,7 @@ def test_rounding_that_lasts_over_rows_is_no_gap() -> None:
 
 def test_a_late_sensor_is_not_blamed_on_the_orbit_alone() -> None:
     """10 s on a vehicle that keeps to the Earth look nearly like 77 km along the orbit; the linear image of the clock is
-    made of an attitude that errs itself, so only the refit tells the two apart."""
+    made of an attitude that errs itself, so only the refit distinguishes the two."""
     config = readme_scenario().updated({"effects.time_tag_offset": {"offset_s": 10.0}})
     found = asked(simulate(config)[0])
     assert found.verdict == "effect"
@@ -126,7 +126,7 @@ def test_outliers_are_a_finding(record: Telemetry) -> None:
 
 
 def test_outliers_of_a_long_record_are_counted_in_every_row() -> None:
-    """One row in two is enough for what is slow; wild readings stand in any."""
+    """One row in two is enough for what is slow; outliers are found in any."""
     segment = {"start_utc": "2026-03-01T00:00:00Z", "step_s": 5.0, "samples": 6000}
     record = simulate(readme_scenario().updated({"schedule.segments": [segment]}))[0]
     reading, rows = np.array(record.mag_B_nT), np.arange(101, 5900, 645)

@@ -130,9 +130,9 @@ def test_a_load_that_acts_from_an_unrecorded_time_on_is_found_with_the_time() ->
 
 
 def test_the_json_keeps_the_schema_and_says_nothing_where_there_is_no_gap() -> None:
-    told = gated()[1].to_dict()
-    Draft202012Validator(diagnosis_schema()).validate(told)
-    assert told["law"]["tried"] > 500 and told["law"]["terms"][0]["unit"] == "nT/unit"
+    answer = gated()[1].to_dict()
+    Draft202012Validator(diagnosis_schema()).validate(answer)
+    assert answer["law"]["tried"] > 500 and answer["law"]["terms"][0]["unit"] == "nT/unit"
     quiet = diagnose(flown(), load_field(), budget=BUDGET)
     assert quiet.verdict == "no_gap" and "law" not in quiet.to_dict()
 
@@ -140,11 +140,11 @@ def test_the_json_keeps_the_schema_and_says_nothing_where_there_is_no_gap() -> N
 def test_the_closed_scenario_flies_the_law_and_frozen_it_leaves_no_gap(tmp_path: Path) -> None:
     record, found = gated()
     path = write_telemetry(record, tmp_path / "flight.nc")
-    told, closed = diagnosing.close(
+    answer, closed = diagnosing.close(
         found, scenario=None, telemetry=str(path), declared=diagnosing.Declared(10.0, 0.0, 0.05)
     )
     assert closed is not None and list(closed.effects.law) == ["payload_sunlit"]
-    assert told.transfers is not None and {one.effect for one in told.transfers} == {"law.payload_sunlit"}
+    assert answer.transfers is not None and {one.effect for one in answer.transfers} == {"law.payload_sunlit"}
     again = diagnosing.diagnose(path, scenario=parse_scenario(closed.to_toml()))
     assert again.verdict == "no_gap"
     quiet = closed.updated({"magnetometer.noise_nT": 0.0, "attitude.reference": None})

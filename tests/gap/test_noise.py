@@ -194,9 +194,9 @@ def test_a_cut_component_moves_nothing() -> None:
     weights = np.ones((300, 3))
     weights[120, 1] = 0.0
     whitener = whitener_of(w, NoiseModel(50.0, 2e-3, 100.0), weights)
-    spoilt = w.noise.copy()
-    spoilt[120, 1] += 1e6
-    np.testing.assert_array_equal(whitener.apply(spoilt), whitener.apply(w.noise))
+    corrupted = w.noise.copy()
+    corrupted[120, 1] += 1e6
+    np.testing.assert_array_equal(whitener.apply(corrupted), whitener.apply(w.noise))
 
 
 # ---------------------------------------------------------------- whitened noise is white
@@ -349,7 +349,7 @@ def test_many_rows_show_the_noise(tau: float) -> None:
 # ---------------------------------------------------------------- spikes
 
 
-def spoilt(w: World, share: float, seed: int, lsb: float = 440.0) -> tuple[World, np.ndarray]:
+def corrupted(w: World, share: float, seed: int, lsb: float = 440.0) -> tuple[World, np.ndarray]:
     """One component of a share of the rows with a bit of 2**0 to 2**7 LSB flipped."""
     rng = np.random.default_rng(seed)
     rows = np.flatnonzero(rng.random(w.seconds.size) < share)
@@ -364,7 +364,7 @@ def spoilt(w: World, share: float, seed: int, lsb: float = 440.0) -> tuple[World
 def test_five_per_cent_bit_errors_are_survived(tau: float, close: Close) -> None:
     """Every flip of ten sigma is cut, nothing good is; the noise comes out as without them."""
     clean = world(1500, 30.0, 60.0, 1e-3, tau, 41)
-    w, flips = spoilt(clean, 0.05, 42)
+    w, flips = corrupted(clean, 0.05, 42)
     blocks = [w.design[:, :, :12], w.design[:, :, 12:]]
     noise, rows = select_noise(
         w.residual, blocks, turn_images(w.field), w.seconds, w.segment, NoisePrior(60.0, 0.1, 1e-3)
@@ -384,7 +384,7 @@ def test_the_first_fit_takes_no_steep_signal_for_spikes() -> None:
     """Single rows where a column of the design acts, a hundred sigma high: signal. Bit errors beside them: spikes."""
     clean = world(1500, 30.0, 60.0, 0.0, 0.0, 46, columns=12)
     pulse = (np.arange(1500) % 17 == 0)[:, None] * np.array([0.3, 1.0, -0.4])
-    w, flips = spoilt(dataclasses.replace(clean, residual=clean.residual + 6000.0 * pulse), 0.05, 47)
+    w, flips = corrupted(dataclasses.replace(clean, residual=clean.residual + 6000.0 * pulse), 0.05, 47)
     cut = (
         first_weights(w.residual, np.concatenate([w.design, pulse[:, :, None]], axis=2), np.ones((1500, 3), dtype=bool))
         == 0

@@ -274,7 +274,7 @@ def test_a_raw_magnetometer_is_no_gap() -> None:
 
 
 def test_groups_come_from_the_design() -> None:
-    """A lag and a time tag are the same to first order; an orbit ahead is told apart better by a body that turns."""
+    """A lag and a time tag are the same to first order; an orbit ahead is distinguished better by a body that turns."""
     nadir, tumble = (search(design(kind).problem, design(kind).whitener) for kind in ("nadir", "tumble"))
     for kind, result in (("nadir", nadir), ("tumble", tumble)):
         assert design(kind).begun.same["time_tag_offset"] == ("time_tag_offset", "sensor_lag")
@@ -358,7 +358,7 @@ def test_many_faint_parameters_are_charged_for_what_they_show() -> None:
 
 
 def test_a_field_that_was_on_for_one_stretch_is_found_and_a_step_is_none() -> None:
-    """No column tells when it was on; the edges are told to a sixty-fourth of the record."""
+    """No column shows when it was on; the edges are found to a sixty-fourth of the record."""
     here = design("tumble")
     time = here.problem.time
     rows = (int(0.21 * time.size), int(0.47 * time.size))
@@ -368,8 +368,8 @@ def test_a_field_that_was_on_for_one_stretch_is_found_and_a_step_is_none() -> No
     assert isinstance(entry.effect, SwitchedField) and entry.effect.condition == "interval"
     assert entry.effect.from_utc is not None and entry.effect.to_utc is not None
     off = [
-        abs((epoch.parse_time(told) - time[row]) / (time[-1] - time[0]))
-        for told, row in zip((entry.effect.from_utc, entry.effect.to_utc), rows, strict=True)
+        abs((epoch.parse_time(edge) - time[row]) / (time[-1] - time[0]))
+        for edge, row in zip((entry.effect.from_utc, entry.effect.to_utc), rows, strict=True)
     ]
     assert max(off) < 1.5 / 64.0
     step = here.data([(BiasStep(begin_utc), np.array([60.0, -40.0, 50.0]))], seed=9)

@@ -311,7 +311,7 @@ def test_the_earth_below_is_told_from_the_spacecraft(design: Design) -> None:
     s = design.problem.setting
     r_E = s.R_EN.apply(s.given[0])
     unit = r_E / np.linalg.norm(r_E, axis=1)[:, None]
-    # A patch with at least three passes through it, or the frames cannot be told apart.
+    # A patch with at least three passes through it, or the frames cannot be distinguished.
     patch = np.exp(-0.5 * (np.arccos(np.clip(unit @ [0.0, -0.34, 0.94], -1, 1)) / 0.45) ** 2)
     local = frames.rotation_NEC_E(r_E)
     crust = (s.given[2] * s.R_EN.inv() * local.inv()).apply(np.outer(patch, [1.0, 0.3, -0.6]))

@@ -171,11 +171,11 @@ def test_a_wrong_name_next_to_the_right_one_is_reported(quick: compute.Outcome) 
     def wanting(wanted: compute.Wanted | None) -> compute.Case:
         return eddy.case.model_copy(update={"wanted": wanted})
 
-    spoilt = dataclasses.replace(eddy, found=two, case=wanting(compute.Wanted(named=["eddy_current"])))
-    assert study.as_expected(spoilt) == "yes; wrong: hysteresis"
+    extra = dataclasses.replace(eddy, found=two, case=wanting(compute.Wanted(named=["eddy_current"])))
+    assert study.as_expected(extra) == "yes; wrong: hysteresis"
     open_question = dataclasses.replace(eddy, case=wanting(None))
     wrong = dataclasses.replace(eddy, case=wanting(compute.Wanted(verdict="unknown")))
-    answers = (eddy, spoilt, wrong, open_question)
+    answers = (eddy, extra, wrong, open_question)
     said = study.words().say("status", **study.counts(dataclasses.replace(quick, answers=answers)))
     assert said == (
         "Of 3 answers on flown records 1 are as expected, 1 contains what was expected and a wrong name, and 1 are not as "

@@ -78,10 +78,10 @@ def test_orbit_agrees_with_an_independent_fit_of_the_same_record(fit, close):
 
 
 def test_no_sun_field_and_no_nadir_field_angle_enters_the_orbit(fit):
-    spoilt = tuple(
+    misread = tuple(
         dataclasses.replace(p, sun_field=p.sun_field and (0.0, 1.0), nadir_field_read=(0.0, 1.0)) for p in read_passes()
     )
-    assert (fit_orbit(spoilt).values == fit.values).all()
+    assert (fit_orbit(misread).values == fit.values).all()
 
 
 def test_the_fit_needs_no_starting_value_and_finds_every_pass(fit):

@@ -63,6 +63,6 @@ def test_the_orbit_comes_back_within_its_sigmas():
 
 
 def test_wrong_digits_do_no_harm():
-    clean, spoilt = fit_orbit(make_record(100)), fit_orbit(make_record(100, wrong_digits=4))
-    assert (np.abs(spoilt.values - clean.values) < 3.0 * spoilt.sigmas).all()
-    assert (np.abs(spoilt.values - TRUTH) < 5.0 * spoilt.sigmas).all()
+    clean, misread = fit_orbit(make_record(100)), fit_orbit(make_record(100, wrong_digits=4))
+    assert (np.abs(misread.values - clean.values) < 3.0 * misread.sigmas).all()
+    assert (np.abs(misread.values - TRUTH) < 5.0 * misread.sigmas).all()

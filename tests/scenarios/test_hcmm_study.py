@@ -130,7 +130,7 @@ def test_in_another_world_the_status_is_another(results, claims, changed, number
 
 @pytest.mark.parametrize("number", [41, 42, 44, 45, 47])
 def test_with_the_printed_rows_the_claims_on_them_hold(results, claims, changed, number):
-    """What differs does so by the simulated residuals alone: the papers' own rows put in their place are judged to agree,
+    """What differs does so by the simulated residuals alone: the papers' own rows in their place count as agreeing,
     where the papers agree with themselves."""
 
     def printed(rows):
@@ -169,8 +169,8 @@ def test_a_scanner_with_a_horizon_flies_as_the_study_has_it(results, close):
             "torquers.activity": "random",
         }
     )
-    told = {"horizon_scanner.earth": "infrared", "horizon_scanner.scans": "-y"}
-    flown = mission.fly(small.updated(told)).telemetry.nadir_B
+    changes = {"horizon_scanner.earth": "infrared", "horizon_scanner.scans": "-y"}
+    flown = mission.fly(small.updated(changes)).telemetry.nadir_B
     made = with_horizon(mission.fly(small), SCANS["one, towards the sun"], WORST).telemetry.nadir_B
     close(flown, made, atol=1e-12, unit="1", because="the same numbers in another order")
 

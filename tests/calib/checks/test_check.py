@@ -265,8 +265,8 @@ TRAPS: dict[str, tuple[Callable[[Telemetry], Telemetry], str, str]] = {
 
 @pytest.mark.parametrize("name", TRAPS)
 def test_a_trap_is_named(model: FieldModel, name: str) -> None:
-    spoil, code, words = TRAPS[name]
-    found = check_telemetry(spoil(good(model, 2)), model)
+    corrupt, code, words = TRAPS[name]
+    found = check_telemetry(corrupt(good(model, 2)), model)
     assert found.exit_status == 1
     texts = [finding.text for finding in found.traps if finding.code == code]
     assert texts, [finding.code for finding in found.traps]
@@ -295,8 +295,8 @@ LARGE_TRAPS = (
 @pytest.mark.parametrize("name", LARGE_TRAPS)
 @pytest.mark.parametrize("mode", ["earth", "tumble"])
 def test_a_large_bias_hides_no_trap(model: FieldModel, mode: str, name: str) -> None:
-    spoil, code, _ = TRAPS[name]
-    found = check_telemetry(spoil(good(model, 2, mode=mode, bias_nT=20_000.0)), model)
+    corrupt, code, _ = TRAPS[name]
+    found = check_telemetry(corrupt(good(model, 2, mode=mode, bias_nT=20_000.0)), model)
     assert code in {finding.code for finding in found.traps}, found.traps
 
 
@@ -310,9 +310,9 @@ def test_metres_sold_as_kilometres_and_kilometres_sold_as_metres_are_named(model
 @pytest.mark.parametrize("name", ["transposed", "scalar first", "orbital", "swapped", "shifted"])
 @pytest.mark.parametrize("mode", ["earth", "hold"])
 def test_a_short_arc_cannot_hide_a_wrong_attitude_behind_a_bias(model: FieldModel, mode: str, name: str) -> None:
-    spoil, code, _ = TRAPS[name]
+    corrupt, code, _ = TRAPS[name]
     record = good(model, 2, mode=mode, rows=1000, step_s=1.0, year=2022, altitude_km=425.0, inclination_deg=93.0)
-    codes = {finding.code for finding in check_telemetry(spoil(record), model).traps}
+    codes = {finding.code for finding in check_telemetry(corrupt(record), model).traps}
     assert codes & {code, "vector_mismatch"}, codes
 
 

@@ -1,4 +1,4 @@
-"""What `check` says of records that the generator of `benchmarks/traps.py` flew and spoilt.
+"""What `check` says of records that the generator of `benchmarks/traps.py` flew and corrupted.
 
 Seeds are fixed; of such records `check` names 99 in 100 rightly and flags less than one good one in 200, so a wrong name
 in these few is a fault, not chance.
@@ -30,7 +30,7 @@ from fluxtwin.sim.telemetry.telemetry_files import read_telemetry
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "benchmarks"))
 
-from traps_cases import GOOD, Case, fly, spoil, write
+from traps_cases import GOOD, Case, corrupt, fly, write
 
 pytestmark = pytest.mark.property
 
@@ -69,7 +69,7 @@ def checked(case: Case, model: FieldModel, folder: Path) -> CheckReport:
 )
 def test_the_right_trap_is_named_first_and_alone(kind: str, model: FieldModel, tmp_path: Path) -> None:
     case = flown(model, kind)
-    wanted = spoil(case, kind)
+    wanted = corrupt(case, kind)
     assert wanted is not None
     (found,) = checked(case, model, tmp_path).traps
     assert found.code in wanted.codes, f"{case.label}: {found.text}"
@@ -129,7 +129,7 @@ def test_outliers_are_given_with_their_rows(model: FieldModel, tmp_path: Path) -
     kind = "outliers of 30 to 65 uT"
     case = flown(model, kind, 1)
     clean = case.mag.copy()
-    spoil(case, kind)
+    corrupt(case, kind)
     rows = np.flatnonzero((case.mag != clean).any(axis=1)) + 1
     (found,) = checked(case, model, tmp_path).traps
     assert found.code == "outliers"
@@ -240,7 +240,7 @@ def test_one_cause_has_one_name(model: FieldModel, tmp_path: Path) -> None:
     for number in range(3):
         case = flown(model, kind, number)
         case.extra["sunlit"] = (np.arange(len(case.time)) // 200 % 2).astype(float)
-        spoil(case, kind)
+        corrupt(case, kind)
         assert [trap.code for trap in checked(case, model, tmp_path).traps] == ["position_frame"], case.label
 
 

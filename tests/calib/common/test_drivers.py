@@ -390,10 +390,10 @@ def test_a_column_that_is_not_there_is_refused(method: str, names: list[str], sa
 )
 def test_a_column_that_cannot_be_distinguished_is_refused(column: Any, said: str) -> None:
     record = flown(0)
-    spoilt = record.replace(drivers={**record.drivers, "x": column(record)})
+    changed = record.replace(drivers={**record.drivers, "x": column(record)})
     for method in ("linear", "scalar"):
         with pytest.raises(NoAnswer, match=said):
-            fit_of(spoilt, method=method, driver=["payload", "x"])
+            fit_of(changed, method=method, driver=["payload", "x"])
 
 
 def test_what_can_be_distinguished_beside_the_field() -> None:

@@ -100,9 +100,11 @@ def test_the_attitude_error_is_found_and_can_be_declared() -> None:
     assert errors.attitude_source == "found in the data"
     assert errors.attitude_sigma_deg == pytest.approx(0.2, rel=0.27)
     assert errors.attitude_tau_s == pytest.approx(400.0, rel=0.6)
-    told = fit_design(design, LinearOptions(attitude_sigma_deg=0.2, attitude_tau_s=400.0, robust="none")).error_model
-    assert told is not None
-    assert told.attitude_source == "declared"
+    declared = fit_design(
+        design, LinearOptions(attitude_sigma_deg=0.2, attitude_tau_s=400.0, robust="none")
+    ).error_model
+    assert declared is not None
+    assert declared.attitude_source == "declared"
 
 
 def test_slow_attitude_errors_leave_the_sigmas_right() -> None:

@@ -24,12 +24,12 @@ def ground():
     return load_field("igrf1975")
 
 
-def doubts(telemetry, ground, **options):
+def warnings_of(telemetry, ground, **options):
     return " ".join(calibrate_linear(telemetry, ground, covariance="white", **options).messages)
 
 
 def test_a_sound_fit_raises_no_doubt(sound, ground):
-    said = doubts(sound, ground)
+    said = warnings_of(sound, ground)
     for word in ("check", "tukey", "T was not estimated"):
         assert word not in said
 
@@ -47,11 +47,11 @@ def test_bit_errors_are_doubted_until_weights_are_robust(sound, ground):
     mag = np.array(sound.mag_B_nT)
     rows = stream(1, "test.bit_errors").choice(len(mag), size=15, replace=False)
     mag[rows, 0] += 16 * 440.0
-    assert "tukey" in doubts(sound.replace(mag_B_nT=mag), ground)
-    assert "tukey)" not in doubts(sound.replace(mag_B_nT=mag), ground, robust="tukey").replace("(tukey): ", "")
+    assert "tukey" in warnings_of(sound.replace(mag_B_nT=mag), ground)
+    assert "tukey)" not in warnings_of(sound.replace(mag_B_nT=mag), ground, robust="tukey").replace("(tukey): ", "")
 
 
 def test_torquers_that_fired_are_mentioned_until_T_is_asked_for(ground):
     telemetry = mission.fly(mission.scenario()).telemetry
-    assert "T was not estimated" in doubts(telemetry, ground)
-    assert "T was not estimated" not in doubts(telemetry, ground, parameters="b,S,T")
+    assert "T was not estimated" in warnings_of(telemetry, ground)
+    assert "T was not estimated" not in warnings_of(telemetry, ground, parameters="b,S,T")

@@ -1,4 +1,4 @@
-"""CovarianceReport sigmas where errors hang together, turn with the attitude or differ from axis to axis.
+"""CovarianceReport sigmas where errors are correlated in time, turn with the attitude or differ from axis to axis.
 
 Monte Carlo with fixed seeds. The mean square of the pulls of 12 parameters over R runs scatters by at most
 sqrt(2/R) (fully correlated parameters); bands are three of those about 1 unless said otherwise (false alarm under
@@ -105,7 +105,7 @@ def test_errors_that_last_ten_minutes(seasat: Any, rows: int, limit: float) -> N
 
 def test_a_declared_field_error(seasat: Any) -> None:
     """A field model wrong by 150 nT rms an axis, constant and once an orbit, over 30 nT of noise: nothing in four
-    passes tells its size. Declared, the pulls are bounded: 20 runs, mean square under 1 + 3 sqrt(2/20); undeclared
+    passes shows its size. Declared, the pulls are bounded: 20 runs, mean square under 1 + 3 sqrt(2/20); undeclared
     white ones are not. The words go away."""
     meter = seasat.magnetometer(noise_nT=30.0)
     day = np.repeat(np.arange(4), (92, 88, 101, 44))

@@ -130,11 +130,11 @@ def test_bit_errors_do_not_move_the_answer() -> None:
     record = flown(7200)
     readings = np.array(record.mag_B_nT)
     readings[np.random.default_rng(1).choice(len(readings), 8, replace=False), 1] += 8192.0
-    spoilt = record.replace(mag_B_nT=readings)
-    fit = fluxtwin.calibrate(spoilt, method="gyro", stretch_s=170.0)
+    corrupted = record.replace(mag_B_nT=readings)
+    fit = fluxtwin.calibrate(corrupted, method="gyro", stretch_s=170.0)
     assert 8 <= fit.rejected < 30 and misfit(fit) < chi2.ppf(0.9999, 11)
     assert len(fit.rows) + sum(fit.left_out.values()) == len(record), "a row is in the fit, or is said not to be"
-    plain = fluxtwin.calibrate(spoilt, method="gyro", parameters="b", stretch_s=170.0, robust="none")
+    plain = fluxtwin.calibrate(corrupted, method="gyro", parameters="b", stretch_s=170.0, robust="none")
     assert plain.calibration.sigma_nT > 5.0 * fit.calibration.sigma_nT
 
 

@@ -3,7 +3,7 @@
 The pulls (estimate - truth)/sigma must have mean 0 and variance 1. Over 100 runs the bands "mean within 0.3,
 variance 0.7 to 1.4" leave a right estimator outside with probability 0.27 % + 1.4 % a parameter, too much for
 33 parameters; so the bands are asked of 400 runs, where that probability is below 2e-5 a parameter, 6e-4 for
-the whole test, and the first hundred are judged together: over 12 (21) parameters of 100 runs the number
+the whole test, and the first hundred are tested together: over 12 (21) parameters of 100 runs the number
 outside has 99.9 % bounds from the binomial law.
 """
 

@@ -176,22 +176,22 @@ def test_a_field_that_follows_a_column_survives_saving(record: Telemetry, model:
     """The file holds s of B = ... + s I; read back, it takes that field out of telemetry, and asks for the column."""
     s = np.array([900.0, -600.0, 300.0])
     current = (np.arange(len(record)) // 40 % 2).astype(float)
-    spoilt = record.replace(mag_B_nT=record.mag_B_nT + current[:, None] * s, array_current_A=current)
-    fit = calibrate_scalar(spoilt, model, telemetry_bias=["array_current_A"])
+    disturbed = record.replace(mag_B_nT=record.mag_B_nT + current[:, None] * s, array_current_A=current)
+    fit = calibrate_scalar(disturbed, model, telemetry_bias=["array_current_A"])
     path = fit.calibration.to_toml(tmp_path / "known.toml")
     again = Calibration.from_toml(path)
     bias = again.telemetry_bias["array_current_A"]
     assert np.array_equal(bias.value_nT, fit.calibration.telemetry_bias["array_current_A"].value_nT)
     assert np.array_equal(bias.sigma_nT, fit.calibration.telemetry_bias["array_current_A"].sigma_nT)
     expected = fit.calibration.apply(
-        spoilt.mag_B_nT - current[:, None] * bias.value_nT, columns={"array_current_A": 0 * current}
+        disturbed.mag_B_nT - current[:, None] * bias.value_nT, columns={"array_current_A": 0 * current}
     )
-    corrected = apply_calibration(spoilt, again).mag_B_nT
+    corrected = apply_calibration(disturbed, again).mag_B_nT
     np.testing.assert_allclose(corrected, expected, rtol=0.0, atol=1e-6)
-    left = predict_scalar(spoilt, again, model).to_dict()
-    assert left == predict_scalar(spoilt, fit.calibration, model).to_dict()
+    left = predict_scalar(disturbed, again, model).to_dict()
+    assert left == predict_scalar(disturbed, fit.calibration, model).to_dict()
     with pytest.raises(BadInput, match="a field that follows 'array_current_A', and the telemetry lacks the column"):
-        apply_calibration(spoilt.replace(array_current_A=None), again)
+        apply_calibration(disturbed.replace(array_current_A=None), again)
     lines = [line for line in path.read_text(encoding="utf-8").splitlines() if not line.startswith("sha256")]
     path.write_text("\n".join(lines).replace("nT_per_unit", "nT"), encoding="utf-8")
     with pytest.raises(BadInput, match=r"telemetry_bias\.array_current_A"):

@@ -300,7 +300,7 @@ def test_errors_that_hang_together_widen_the_sigmas() -> None:
 
 def test_blocks_allow_for_errors_that_are_constant_in_a_pass(passes: Any) -> None:
     """Forty passes of twelve samples, Earth-pointing, the field model wrong by 120 nT an axis in each: white sigmas are
-    too small by two, the jackknife's are right (30 runs, 270 pulls that hang together: scatter of the mean 0.15)."""
+    too small by two, the jackknife's are right (30 runs, 270 correlated pulls: scatter of the mean 0.15)."""
     white, blocks = [], []
     for seed in range(30):
         rng = np.random.default_rng([14, seed])

@@ -337,10 +337,10 @@ def test_a_gyro_tells_a_spin_that_the_attitudes_are_too_far_apart_for() -> None:
     gyro = np.array([0.0, 0.0, rate + np.radians(0.01)]) + np.radians(0.002) * rng.standard_normal((t.size, 3))
     gyro[::7] = np.nan
     _, R_BN = perturbed(law, t, 0.1)
-    blind, told = recorded(t, R_BN), recorded(t, R_BN, gyro)
+    blind, with_gyro = recorded(t, R_BN), recorded(t, R_BN, gyro)
     inside = slice(5, -5)
     assert moved(blind, law, t, 9.0, inside) > 10.0
-    assert moved(told, law, t, 9.0, inside) < 0.15
+    assert moved(with_gyro, law, t, 9.0, inside) < 0.15
 
 
 def test_a_gyro_shows_a_wobble_that_the_attitudes_are_too_far_apart_for() -> None:

@@ -28,7 +28,7 @@ def test_an_exception_while_writing_leaves_the_old_file_and_no_litter(tmp_path):
 
 
 def test_leftovers_of_a_killed_process_are_swept_and_those_of_a_living_one_stay(tmp_path):
-    """A process in another container has a number that means nothing here: only the lock tells."""
+    """A process in another container has a number that means nothing here: only the lock shows it."""
     code = (
         "import os, sys; from fluxtwin.sim.base import files\n"
         "os.getpid = lambda: 99_999_999\n"  # larger than any number here

@@ -191,7 +191,7 @@ def test_epochs_outside_are_an_error_that_names_the_range(name: str, first: str,
 
 
 def test_a_lasting_model_goes_on_along_its_ends(shared_model: field.FieldModel, close: Callable[..., None]) -> None:
-    """IGRF is linear between its knots, so beyond its ends the same straight lines go on; no further than it was told."""
+    """IGRF is linear between its knots, so beyond its ends the same straight lines go on; no further than it was given."""
     last, hours = shared_model.valid_to, np.arange(-24, 25, 12) * np.timedelta64(1, "h")
     lasting = shared_model.lasting(np.timedelta64(1, "D"))
     for end in (shared_model.valid_from, last):

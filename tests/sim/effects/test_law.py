@@ -30,9 +30,9 @@ K = np.array([3.0, -2.0, 1.0])
 @pytest.fixture(scope="module")
 def record() -> Telemetry:
     scenario = parse_scenario(scenario_text("", segment=f"samples = {ROWS}, step_s = {STEP_S}"))
-    told = simulate(scenario)[0]
+    flown = simulate(scenario)[0]
     drivers = {"heat": np.linspace(-1.0, 2.0, ROWS), "arm_deg": np.linspace(0.0, 720.0, ROWS)}
-    return told.replace(drivers=drivers, flags={"pump": (np.arange(ROWS) // 50 % 2).astype(float)})
+    return flown.replace(drivers=drivers, flags={"pump": (np.arange(ROWS) // 50 % 2).astype(float)})
 
 
 @pytest.fixture(scope="module")

@@ -190,9 +190,9 @@ def test_the_table_in_the_documents_is_what_the_script_prints() -> None:
     done = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, timeout=300, check=True)
     pattern = r"^\| (momentum bias, \w+|three axes|spin|B-dot) \| (.*) \|$"
     printed = re.findall(pattern, done.stdout, flags=re.MULTILINE)
-    told = re.findall(pattern, (root / "docs" / "dynamics.md").read_text(encoding="utf-8"), flags=re.MULTILINE)
-    assert [name for name, _ in printed] == [name for name, _ in told] and len(told) == 5
-    for (name, now), (_, then) in zip(printed, told, strict=True):
+    documented = re.findall(pattern, (root / "docs" / "dynamics.md").read_text(encoding="utf-8"), flags=re.MULTILINE)
+    assert [name for name, _ in printed] == [name for name, _ in documented] and len(documented) == 5
+    for (name, now), (_, then) in zip(printed, documented, strict=True):
         pairs = list(zip(*(re.findall(r"[0-9]+(?:\.[0-9]+)?", words) for words in (now, then)), strict=True))
         assert len(pairs) >= 8, name
         for found, wanted in pairs:

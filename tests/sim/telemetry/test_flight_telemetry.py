@@ -1,4 +1,4 @@
-"""Flight telemetry as it was sent: a folder of CubeSat packets and raw fluxgate counts become records and are judged.
+"""Flight telemetry as it was sent: a folder of CubeSat packets and raw fluxgate counts become records and are checked.
 
 Sources: PADRE attitude-computer packets (github PADRESat/padre_craft, b1c01b47) and ELFIN-A fluxgate data of
 2022-01-12 (github jiashuwu89/elf_fgm, fbaba5dd); see flight/README.md in the shared folder.

@@ -47,12 +47,8 @@ class Tle:
                 where=self.where,
                 wanted=_FORMAT,
             )
-        try:
-            satellite = self._satellite()
-        except ValueError as error:
-            raise BadInput(f"SGP4 cannot read these lines: {error}", where=self.where, wanted=_FORMAT) from None
-        if satellite.error:
-            raise BadInput(f"SGP4 refuses these elements: {SGP4_ERRORS[satellite.error]}", where=self.where)
+        if error := self._satellite().error:
+            raise BadInput(f"SGP4 refuses these elements: {SGP4_ERRORS[error]}", where=self.where)
 
     @property
     def epoch_utc(self) -> np.datetime64:
@@ -207,7 +203,7 @@ def _check_line(number: int, line: str, where: str) -> None:
     place = f"{where}, line {number}"
     if not line.startswith(f"{number} "):
         raise BadInput(f"starts with {line[:10]!r}", where=place, wanted=_FORMAT)
-    if len(line) != 69 or not line.isascii():
+    if len(line) != 69 or not (line.isascii() and line.isprintable()):
         raise BadInput(f"has {len(line)} characters", where=place, wanted="69 plain characters")
     if not line[68].isdigit() or int(line[68]) != compute_checksum(line):
         raise BadInput(

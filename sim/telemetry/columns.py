@@ -188,11 +188,9 @@ def describe(column: str) -> tuple[str, str]:
         return f"{family.name_in(column)}: {family.about}", "1"
     if WHEEL.fullmatch(column):
         return f"speed of wheel {_wheel_number(column)}", "rpm"
-    for quantity in QUANTITIES:
-        if column in quantity.written:
-            axis = f", {column.split('_')[1]} component" if len(quantity.stems) > 1 and "_" in column else ""
-            return quantity.long_name + axis, quantity.cf_units
-    raise KeyError(column)
+    quantity = next(one for one in QUANTITIES if column in one.written)
+    axis = f", {column.split('_')[1]} component" if len(quantity.stems) > 1 and "_" in column else ""
+    return quantity.long_name + axis, quantity.cf_units
 
 
 def _unit_of(quantity: Quantity, known: set[str], where: str) -> str | None:

@@ -30,7 +30,7 @@ from fluxtwin.sim.telemetry.quantities import DRIVERS, MAG
 from fluxtwin.sim.telemetry.record import Telemetry
 
 if TYPE_CHECKING:
-    import h5py
+    pass
 
 TIME_UNITS = "nanoseconds since 1970-01-01"
 _SHA = "fluxtwin_sha256"
@@ -61,7 +61,6 @@ class NetcdfFile:
         self.where = str(path)
         self.path = Path(path)
         self.max_samples = max_samples
-        self._file: h5py.File | None = None
         self._claimed: dict[str, int] = {}
         self._verified: dict[str, np.ndarray] = {}  # read for the digest, handed on once
 
@@ -74,9 +73,8 @@ class NetcdfFile:
         return self
 
     def __exit__(self, *_: object) -> None:
-        if self._file is not None:
-            with contextlib.suppress(Exception):
-                self._file.close()
+        with contextlib.suppress(Exception):
+            self._file.close()
 
     @cached_property
     def sha256(self) -> str:
@@ -91,12 +89,12 @@ class NetcdfFile:
         """Variables of the root group. Raises BadInput for links that leave the file."""
         import h5py
 
-        names, group = [], self._root.id
+        names, group = [], self._file.id
         with self._reading("its list of variables cannot be read"):
-            for name, key in zip(self._root, group, strict=True):
+            for name, key in zip(self._file, group, strict=True):
                 if group.links.get_info(key).type != h5py.h5l.TYPE_HARD:
                     raise BadInput(
-                        f"{clip(name)} is a link to another place ({type(self._root.get(name, getlink=True)).__name__})",
+                        f"{clip(name)} is a link to another place ({type(self._file.get(name, getlink=True)).__name__})",
                         where=self.where,
                         wanted="a file that holds its own data",
                     )
@@ -109,12 +107,12 @@ class NetcdfFile:
     def shape(self, name: str) -> tuple[int, ...]:
         """Shape of a variable, without reading it."""
         with self._reading(f"{clip(name)} cannot be read"):
-            return tuple(int(n) for n in self._root[name].shape or ())
+            return tuple(int(n) for n in self._file[name].shape or ())
 
     def attributes(self, name: str | None = None) -> dict[str, Any]:
         """Attributes of a variable, or of the file: text as str, arrays of one number as that number."""
         with self._reading("an attribute cannot be read"):
-            node = self._root if name is None else self._root[name]
+            node = self._file if name is None else self._file[name]
             return {str(key): _plain(node.attrs[key]) for key in node.attrs if key not in _DIMENSION_ATTRIBUTES}
 
     def described(self, name: str) -> str:
@@ -128,7 +126,7 @@ class NetcdfFile:
         if name in self._verified:
             return self._verified.pop(name)
         with self._reading(f"{clip(name)} cannot be read"):
-            data = self._root[name]
+            data = self._file[name]
             wanted = "plain numeric variables stored in the file itself"
             if data.external or data.is_virtual:
                 raise BadInput(f"{clip(name)} is stored in another file", where=self.where, wanted=wanted)
@@ -190,12 +188,6 @@ class NetcdfFile:
             )
         self._verified = {name: value for name, (value, _) in arrays.items()}
         return True
-
-    @property
-    def _root(self) -> Any:
-        if self._file is None:
-            raise BadInput("is not open", where=self.where)
-        return self._file
 
     @contextlib.contextmanager
     def _reading(self, what: str) -> Iterator[None]:

@@ -43,11 +43,11 @@ class SensorSection(Section):
 
         A sensor that gives the reference attitude has the column `q_NB`.
         """
-        raise NotImplementedError(f"{type(self).__name__} measures with all its heads")
+        raise NotImplementedError
 
     @classmethod
     def measure_with(
         cls, heads: Mapping[str, Self], around: Surroundings, rng: np.random.Generator
     ) -> dict[str, FloatArray]:
         """The same of all its heads, by number."""
-        raise NotImplementedError(f"{cls.__name__} has no heads")
+        raise NotImplementedError

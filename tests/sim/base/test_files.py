@@ -86,3 +86,38 @@ def test_a_target_that_cannot_be_written_is_named(tmp_path):
         files.write_text(tmp_path, "")
     with pytest.raises(BadInput, match="is a file"):
         files.writable_folder(blocker)
+    with pytest.raises(BadInput, match="is a folder"):
+        files.writable_file(tmp_path)
+    with pytest.raises(BadInput, match="there is no folder"):
+        files.writable_folder(tmp_path / "absent" / "results")
+    with pytest.raises(BadInput, match="a name in it is not UTF-8"):
+        files.write_toml(tmp_path / "a.toml", "name = '\udcff'\n")
+    assert [p.name for p in tmp_path.iterdir()] == ["file"]
+
+
+def test_a_folder_that_takes_no_file_and_a_disk_that_is_full(tmp_path, monkeypatch):
+    """Root writes into a protected folder, so that the system's refusal is put in its place."""
+
+    def full(_):
+        raise OSError(28, "No space left on device")
+
+    with pytest.raises(BadInput, match=r"a\.txt: cannot write this file \(No space left on device\)"):
+        files.write_with(tmp_path / "a.txt", full)
+
+    def protected(*_, **__):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr("tempfile.mkstemp", protected)
+    with pytest.raises(BadInput, match=r"a\.txt: cannot write here \(Permission denied\)"):
+        files.write_text(tmp_path / "a.txt", "")
+    with pytest.raises(BadInput, match="cannot write in this folder"):
+        files.writable_folder(tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="a device that is always full")
+def test_a_stream_is_written_to_and_not_replaced(tmp_path, capfd):
+    assert files.writable_file("/dev/stdout") == files.write_text("/dev/stdout", "all of it")
+    assert capfd.readouterr().out == "all of it"
+    with pytest.raises(BadInput, match="/dev/full: cannot write this file"):
+        files.write_text("/dev/full", "all of it")

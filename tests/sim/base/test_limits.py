@@ -18,6 +18,7 @@ from fluxtwin.sim.base import limits
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.earth.tle import read_tle
 from fluxtwin.sim.scenario.scenario import load_scenario
+from fluxtwin.sim.telemetry.netcdf_files import NetcdfFile, read_table
 from fluxtwin.sim.telemetry.telemetry_files import read_telemetry, write_telemetry
 
 pytestmark = [pytest.mark.property, pytest.mark.skipif(os.name != "posix", reason="devices and pipes of POSIX")]
@@ -116,3 +117,24 @@ def test_the_limit_of_rows_is_named_by_every_format(tmp_path: Path, name: str) -
     assert len(read_telemetry(path, max_samples=40)) == 40 if found is None else found.read(path, 40)
     with pytest.raises(BadInput, match=r"rows.*at most 30 .--max-samples N reads more"):
         read_telemetry(path, max_samples=30) if found is None else found.read(path, 30)
+
+
+def test_a_pipe_that_brings_too_much_and_a_link_to_itself(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "p")
+    writer = threading.Thread(target=lambda: (tmp_path / "p").write_bytes(b"12345"))
+    writer.start()
+    with pytest.raises(BadInput, match="p: is larger than 4 bytes"):
+        limits.content_of(tmp_path / "p", most=4, wanted="a word")
+    writer.join()
+    for name in ("a.csv", "a.nc"):
+        (tmp_path / name).symlink_to(name)
+        with pytest.raises(BadInput, match=rf"{name}: cannot be read \(.*symbolic links"):
+            READERS[name](tmp_path / name)
+    (tmp_path / "b.nc").mkdir()
+    with pytest.raises(BadInput, match=r"b\.nc: is a folder"):
+        read_table(tmp_path / "b.nc")
+    with h5py.File(tmp_path / "gone.nc", "w"):
+        pass
+    with NetcdfFile(tmp_path / "gone.nc") as opened, pytest.raises(BadInput, match=r"gone\.nc: cannot be read"):
+        opened.path.unlink()
+        _ = opened.sha256

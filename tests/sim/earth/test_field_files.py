@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
+import h5py
 import numpy as np
 import pytest
 import scipy.io
 
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.limits import MODEL_BYTES
+from fluxtwin.sim.earth import mat_reader
 from fluxtwin.sim.earth.field_external import read_magnetosphere
 from fluxtwin.sim.earth.field_models import load_field
 
@@ -72,3 +76,33 @@ def test_a_model_that_is_too_large_is_not_read(tmp_path: Path) -> None:
         made.truncate(MODEL_BYTES + 1)
     with pytest.raises(BadInput, match=f"is larger than {MODEL_BYTES} bytes"):
         load_field(f"chaos:{tmp_path / 'm.mat'}")
+
+
+def test_a_mat_file_that_takes_too_long(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    scipy.io.savemat(tmp_path / "m.mat", {"x": 1.0})
+    monkeypatch.setattr(mat_reader, "SECONDS", 0.0)
+    with pytest.raises(BadInput, match=r"m\.mat: is not read in 0"):
+        load_field(f"chaos:{tmp_path / 'm.mat'}")
+
+
+@pytest.mark.parametrize("matlab", ["5", "7.3"])
+def test_what_the_reader_hands_over(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], matlab: str
+) -> None:
+    """In this process, whose memory it must not limit."""
+    value, path = np.arange(6.0).reshape(2, 3), str(tmp_path / "m.mat")
+    if matlab == "5":
+        scipy.io.savemat(path, {"pp": {"breaks": value}, "g": value})
+    else:
+        with h5py.File(path, "w") as made:
+            made["pp/breaks"] = made["g"] = value.T
+    monkeypatch.setattr(mat_reader, "_limit", lambda: None)
+    monkeypatch.setattr(mat_reader.sys, "stdout", SimpleNamespace(buffer=(handed := io.BytesIO())))
+    assert mat_reader.main(path, ["pp.breaks", "g", "absent"]) == 0
+    with np.load(io.BytesIO(handed.getvalue())) as held:
+        assert sorted(held.files) == ["g", "pp.breaks"] and all(
+            np.array_equal(held[name], value) for name in held.files
+        )
+    Path(path).write_bytes(b"no file of that kind")
+    assert mat_reader.main(path, ["g"]) == 1
+    assert capfd.readouterr().err

@@ -163,6 +163,7 @@ def test_files_with_and_without_a_name(tmp_path):
         (f"{LINE1}\n{LINE2.replace('97.7592', '97.7692')}\n", "line 2: the checksum"),
         (f"{LINE1}\n{mended(LINE2.replace('97.7592', '97.x592'))}\n", "inclination is .*97.x592"),
         (f"{mended(LINE1.replace('25353', '25953'))}\n{LINE2}\n", "epoch day"),
+        (f"{mended(LINE1.replace('U', chr(0)))}\n{LINE2}\n", "69 plain characters"),
         (f"{LINE1}\n{mended(LINE2.replace('64559', '64558'))}\n", "64559, line 2 of 64558"),
         (f"{LINE1}\n{mended(LINE2.replace('14.91647938', '00.00000000'))}\n", "SGP4"),
     ],

@@ -303,6 +303,14 @@ def test_a_vehicle_that_cannot_be_flown_is_lost_and_the_others_are_not(scenario:
         fly_ensemble(
             scenario.updated({**free, "draws": None, "dynamics.rate_deg_s": [0.0, 0.0, 40.0]}), 2, tmp_path / "all"
         )
+    with pytest.raises(NoAnswer, match=r"all of the first 2 vehicles were lost; vehicle 0: .*the body turns by"):
+        fly_ensemble(
+            scenario.updated({**free, "draws": None, "dynamics.rate_deg_s": [0.0, 0.0, 40.0]}),
+            4,
+            tmp_path / "first",
+            in_chunk=2,
+            jobs=1,
+        )
 
 
 WRONG: dict[str, tuple[dict[str, Any], str]] = {

@@ -82,6 +82,9 @@ def test_a_schedule_in_view_of_no_stations_is_refused():
         parse_scenario(text)
     with pytest.raises(BadInput, match="no station"):
         list_passes(parse_scenario(text.replace("in_view_of_stations = true", "")))
+    with pytest.raises(BadInput, match="the orbit is that of a recorded file"):
+        replay = {"orbit": None, "schedule": None, "replay.telemetry": "t.nc"}
+        list_passes(parse_scenario(TEXT).updated(replay))
 
 
 def test_the_command_lists_passes(tmp_path, cli):

@@ -10,6 +10,7 @@ from worlds import scenario_text
 
 from fluxtwin.scenarios.seasat import mission
 from fluxtwin.sim.base.errors import BadInput, OutOfRange
+from fluxtwin.sim.base.limits import TEXT_BYTES
 from fluxtwin.sim.run.simulate import simulate
 from fluxtwin.sim.run.world import build_world
 from fluxtwin.sim.scenario.scenario import load_scenario, parse_scenario, save_scenario
@@ -56,6 +57,13 @@ def test_faults_are_named(change, said):
         parse_scenario(SMALL.replace("altitude_km = 650.0", change), where="my.toml")
     assert said in str(caught.value)
     assert "my.toml" in str(caught.value)
+
+
+def test_what_is_no_scenario_at_all_is_said():
+    with pytest.raises(BadInput, match=r"m\.toml: this is a column map\. Wanted: a scenario"):
+        parse_scenario("[[file]]\npath = 1\n", where="m.toml")
+    with pytest.raises(BadInput, match=f"more than {TEXT_BYTES} characters"):
+        parse_scenario("#" * (TEXT_BYTES + 1))
 
 
 def test_every_fault_is_listed_at_once():

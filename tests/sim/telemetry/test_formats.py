@@ -242,6 +242,10 @@ def test_what_we_write_is_what_brahe_reads(record: fluxtwin.Telemetry, tmp_path:
         (AEM.replace("TIME_SYSTEM = UTC", "TIME_SYSTEM = MRT"), "TIME_SYSTEM is MRT"),
         (AEM.replace("= QUATERNION\n", "= SPIN\n"), "ATTITUDE_TYPE is SPIN"),
         (AEM.replace("EME2000", "LVLH_ROTATING"), "REF_FRAME_A"),
+        (
+            AEM + AEM[AEM.index("META_START") :].replace("EME2000", "ITRF2000"),
+            "its segments are relative to EME2000, ITRS.*Wanted: one frame",
+        ),
         (AEM.replace("SC_BODY_1", "EME2000"), "one of them the spacecraft"),
         (AEM.replace("A2B", "FORWARD"), "ATTITUDE_DIR is FORWARD"),
         (AEM.replace("= LAST", "= THIRD"), "QUATERNION_TYPE is THIRD"),

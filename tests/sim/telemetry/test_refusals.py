@@ -214,6 +214,10 @@ def test_what_cannot_be_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     bare = small_record(2).replace(r_N_km=None, v_N_km_s=None)
     with pytest.raises(BadInput, match="has no positions"):
         oem.write(bare, tmp_path / "t.oem")
+    pd.DataFrame([[1.0]], index=[0], columns=["t"]).to_excel(tmp_path / "wide.xlsx", startcol=MAX_COLUMNS)
+    with pytest.raises(BadInput, match=rf"wide\.xlsx: has {MAX_COLUMNS + 2} columns"):
+        fluxtwin.read(tmp_path / "wide.xlsx")
+    (tmp_path / "wide.xlsx").unlink()
     monkeypatch.setattr(xlsx, "_MOST_ROWS", 1)
     with pytest.raises(BadInput, match="has 2 rows"):
         xlsx.write(bare, tmp_path / "t.xlsx")

@@ -18,7 +18,7 @@ from fluxtwin.gap.detectors.finding import Finding
 from fluxtwin.gap.detectors.noise_level import floor_noise, stochastic_nT, with_frozen_noise
 from fluxtwin.gap.detectors.proposals import expected
 from fluxtwin.gap.held_out.closing import Declared, calibration, closed_scenario, settle
-from fluxtwin.gap.held_out.held_out import Prediction
+from fluxtwin.gap.held_out.held_out import Prediction, closed_share
 from fluxtwin.gap.held_out.targets import DAYS, targets
 from fluxtwin.gap.held_out.transfer import _others, _seen_by_chance, transfers
 from fluxtwin.gap.noise.robust_rows import CUT_SIGMA, RobustRows
@@ -374,3 +374,12 @@ def test_a_bootstrap_of_stretches_is_about_what_was_measured() -> None:
     held = Prediction(before, after, np.ones(600, dtype=bool), 10.0, 10.0)
     for drawn, rows in zip(held._draws(after), (before, after), strict=True):
         assert drawn.mean() == pytest.approx((rows**2).mean(), rel=0.02) and 0.0 < drawn.std() < 0.1 * drawn.mean()
+
+
+def test_the_closed_share_is_of_the_power_above_the_floors() -> None:
+    """50 nT above a floor of 10 nT, and 30 nT above one of 20 nT: of 2400 nT^2 500 stay. A bootstrap that draws what stays
+    evenly from 0 to 1000 nT^2 has its 5 and 95 % at 50 and 950 nT^2. What is below its floor leaves nothing."""
+    before, after = np.full(101, 2500.0), np.linspace(400.0, 1400.0, 101)
+    closed, between = closed_share(50.0, 30.0, 10.0, 20.0, before, after)
+    assert (closed, *between) == pytest.approx((1.0 - 500.0 / 2400.0, 1.0 - 950.0 / 2400.0, 1.0 - 50.0 / 2400.0))
+    assert closed_share(50.0, 15.0, 10.0, 20.0, before, np.full(101, 225.0)) == (1.0, (1.0, 1.0))

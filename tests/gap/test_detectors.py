@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from worlds import scenario_text
 
+from fluxtwin.gap.detectors import switched_region
 from fluxtwin.gap.detectors.codes import coarse_steps, flipped_bits, stuck_bit
 from fluxtwin.gap.detectors.finding import Finding
 from fluxtwin.gap.detectors.lines import companion, strongest_line, wheel_line
@@ -313,6 +314,22 @@ def test_rows_are_placed_in_degrees(bench: Bench) -> None:
 def test_the_box_of_rows_beyond_the_date_line_is_given_west_of_it() -> None:
     place = _Place(np.array([10.0, 12.0]), np.array([-179.0, -175.0]), {})
     assert _snug(place, (5.0, 15.0, 175.0, 195.0), np.ones(2, dtype=bool)) == (10.0, 12.0, -179.0, -175.0)
+
+
+def test_of_two_regions_the_one_that_explains_more_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a grid of ground points without noise: 90 nT over one region and 30 nT over another, far away."""
+    latitude, longitude = (axis.ravel() for axis in np.mgrid[-60.0:61.0:4.0, -180.0:177.0:4.0])
+    place = _Place(latitude, longitude, {"night": longitude >= -90.0})
+    strong, weak = place.inside((20.0, 40.0, 32.0, 60.0)), place.inside((-52.0, -40.0, -60.0, -32.0))
+    signal_nT = np.where(strong, 90.0, np.where(weak, 30.0, 0.0))
+
+    def drop(left: Any, image: np.ndarray) -> Any:  # of a sum of squares, by a constant fitted in the rows
+        on = image[:, 0, 0] > 0.0
+        return SimpleNamespace(drop=signal_nT[on].sum() ** 2 / on.sum())
+
+    monkeypatch.setattr(switched_region, "fitted", drop)
+    found = switched_region._Search(SimpleNamespace(), place).best()  # type: ignore[arg-type]
+    assert found is not None and found.box == pytest.approx((20.0, 40.0, 32.0, 60.0), abs=4.0)
 
 
 def test_a_multiple_of_a_wheel_is_no_second_wheel(bench: Bench) -> None:

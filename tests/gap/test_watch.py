@@ -12,6 +12,7 @@ from worlds import scenario_text
 
 from fluxtwin.calib.common.records import Calibration, TelemetryBias
 from fluxtwin.gap import watch as module
+from fluxtwin.gap import watch_kernels
 from fluxtwin.gap.noise.whitening import NoiseModel
 from fluxtwin.gap.problem.problem import Budget
 from fluxtwin.gap.watch import Watch, begin
@@ -185,6 +186,18 @@ def test_the_most_noise_lasts_and_grows_by_what_is_not_known() -> None:
     most, sure = module._at_most(found), module._SURE
     assert np.log([most.sigma_nT / 20.0, most.tau_s / 100.0]) == pytest.approx([0.1 * sure, 0.3 * sure])
     assert np.log(most.theta_rad / 1e-3) == pytest.approx((0.2 + 0.5 * 0.3) * sure)
+
+
+def test_the_attitude_error_is_half_forgotten_after_its_half_life(
+    record: Telemetry, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """tau is the half-life over ln 2; rows are 10 s apart, the third 20 s after the second; the first is 1."""
+    seen: list[np.ndarray] = []
+    monkeypatch.setattr(watch_kernels, "run_rows", lambda *given: seen.append(given[6]) or -1)
+    noise = NoiseModel(20.0, 1e-3, 10.0 / np.log(2.0))
+    watch = Watch(MODEL, noise, False, Calibration(np.zeros((3, 3)), np.zeros(3)), np.eye(15))
+    assert watch.take(record.select(np.array([0, 1, 3]))) is None
+    assert seen[0] == pytest.approx([1.0, 0.5, 0.25])
 
 
 def test_too_few_rows_are_said(record: Telemetry) -> None:

@@ -7,12 +7,13 @@ import dataclasses
 import numpy as np
 import pytest
 import xarray
+from scipy.spatial.transform import Rotation
 from worlds import PARTS, scenario_text
 
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.random_streams import stream
 from fluxtwin.sim.earth import frames
-from fluxtwin.sim.run.replay import _true_motion
+from fluxtwin.sim.run.replay import _differenced_rate, _true_motion
 from fluxtwin.sim.run.simulate import simulate
 from fluxtwin.sim.run.world import orbit_from
 from fluxtwin.sim.scenario.scenario import parse_scenario
@@ -240,3 +241,11 @@ def test_the_true_motion_of_a_recorded_one_is_off_by_the_stated_error(scenario):
     off = frames.rotation_from_q(_true_motion(given, telemetry).q_NB) * frames.rotation_from_q(telemetry.q_NB).inv()
     rms = np.sqrt(np.mean(np.degrees(off.magnitude()) ** 2))
     assert rms == pytest.approx(0.1 * np.sqrt(3.0), rel=4.0 / np.sqrt(6.0 * len(telemetry)))
+
+
+def test_a_motion_recorded_without_rates_turns_as_its_attitudes_do() -> None:
+    """At a constant rate w of the body a vector at rest turns by exp(-[w] t) in its axes."""
+    rate_rad_s, seconds = np.array([0.01, -0.02, 0.03]), np.array([0.0, 1.0, 3.0, 4.0])
+    time = np.datetime64("2020-03-01T00:00:00", "ns") + (seconds * 1e9).astype("timedelta64[ns]")
+    R_BN = Rotation.from_rotvec(-seconds[:, None] * rate_rad_s) * Rotation.from_rotvec([0.3, -0.2, 0.9])
+    assert _differenced_rate(time, R_BN) == pytest.approx(np.tile(rate_rad_s, (4, 1)), rel=1e-9)

@@ -269,9 +269,7 @@ def begin(
         known = calibration.covariance * np.outer(scale, scale)
         return Watch(model, sure, by_size, calibration, _block(known))
     instrument = problem.setting.instrument
-    of = {effect.name: theta for effect, theta in problem.modelled_active}
-    S, b_nT = instrument.S + of["scale_misalignment"].reshape(3, 3), instrument.b_nT + of["bias"]
-    watch = Watch(model, sure, by_size, Calibration(S, b_nT), _block(np.eye(12) * _OPEN_nT**2))
+    watch = Watch(model, sure, by_size, Calibration(instrument.S, instrument.b_nT), _block(np.eye(12) * _OPEN_nT**2))
     watch.run(first, armed=False, by_size=blind)
     return watch
 

@@ -2,13 +2,23 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy import stats
 
 from fluxtwin.gap.detectors.lines import line_columns, strongest_line
 from fluxtwin.gap.detectors.residual_structure import drift, likeliest_step
-from fluxtwin.gap.linear.projection import ProjectedResidual, log10_sf_f, orthonormal, projected_out, share_mimicked
+from fluxtwin.gap.linear.projection import (
+    ProjectedResidual,
+    log10_sf_f,
+    orthonormal,
+    projected_out,
+    projected_white,
+    share_mimicked,
+)
 from fluxtwin.gap.selection.criterion import THRESHOLD
 
 pytestmark = pytest.mark.property
@@ -40,6 +50,14 @@ def test_a_basis_taken_out_leaves_what_least_squares_leaves() -> None:
     columns, rest = np.split(np.random.default_rng(2).standard_normal((50, 6)), [4], axis=1)
     left = rest - columns @ np.linalg.lstsq(columns, rest, rcond=None)[0]
     assert np.allclose(projected_out(orthonormal(columns), rest), left, rtol=0.0, atol=1e-13)
+
+
+def test_columns_that_repeat_each_other_take_their_rank_of_the_degrees_of_freedom() -> None:
+    """White residuals of 300 readings less two columns: the energy left is chi-square with 298, not 297."""
+    whitener: Any = SimpleNamespace(measured=300)
+    columns = np.random.default_rng(3).standard_normal((300, 2)) @ [[1.0, 0.0, 2.0], [0.0, 1.0, -1.0]]
+    left = projected_white(whitener, np.ones((100, 3)), columns)
+    assert left.degrees == 300 - np.linalg.matrix_rank(columns) == 298
 
 
 def test_the_searches_keep_their_false_alarm_rates() -> None:

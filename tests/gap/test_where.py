@@ -27,7 +27,7 @@ from fluxtwin.gap.posterior.where import _variance, locate, step_fits
 from fluxtwin.gap.problem.problem import Problem, pose
 from fluxtwin.gap.problem.row_axes import turn_images
 from fluxtwin.gap.records.diagnosis import Place
-from fluxtwin.gap.report.verdict import blended
+from fluxtwin.gap.report.verdict import blended, place_of
 from fluxtwin.gap.report.words import located, unexplained
 from fluxtwin.sim.attitude.gauss_markov import gauss_markov
 from fluxtwin.sim.earth import frames
@@ -231,6 +231,23 @@ def test_stage_frame_and_condition_of_a_discrepancy(design: Design, name: str) -
         assert where.frame == frame, where
     if condition is not None:
         assert where.condition == condition, where
+
+
+def test_each_column_of_a_block_has_a_letter(nadir: Design) -> None:
+    """And there are blocks of the sensor that mix axes, by the temperature among others."""
+    mixing = [block for block in nadir.found if block.condition == "temperature" and len(block.axes) % 9 == 0]
+    assert mixing and all(len(block.axes) == block.make().shape[2] for block in nadir.found)
+
+
+def test_the_places_of_an_effect_share_one() -> None:
+    """A clock error or one along the orbit, at 80 % together: what is left is shared out as before."""
+    shares = {name: {"none": 1.0} for name in ("axis", "frame", "condition")}
+    shares["stage"] = {"time": 0.1, "orbit": 0.3, "sensor": 0.6}
+    effect: Any = SimpleNamespace(stage="time", axis=None, frame=None, condition=None, probability=0.8)
+    effect.group = ["time_tag_offset", "along_track_error"]
+    probabilities = place_of(effect, shares).probabilities
+    assert probabilities["stage"] == pytest.approx({"time": 0.42, "orbit": 0.46, "sensor": 0.12})
+    assert all(sum(one.values()) == pytest.approx(1.0) for one in probabilities.values())
 
 
 def test_a_turned_head_is_an_attitude_error() -> None:

@@ -6,6 +6,7 @@ The witness is the same record with its attitude: along the field, or in the pla
 from __future__ import annotations
 
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,12 +17,14 @@ from fluxtwin.gap.held_out.held_out import floor_rms_nT, one_step
 from fluxtwin.gap.hypotheses.candidates import candidates
 from fluxtwin.gap.noise.robust_rows import first_weights, standing_out
 from fluxtwin.gap.noise.whitening import NoiseModel, make_whitener
+from fluxtwin.gap.problem import start
 from fluxtwin.gap.problem.problem import Budget, Problem, pose, realigned
 from fluxtwin.gap.problem.row_axes import RowAxes, calibrated, row_axes
 from fluxtwin.gap.problem.start import start_without_attitude
 from fluxtwin.gap.selection.refit import settled
+from fluxtwin.sim.base.errors import NoAnswer
 from fluxtwin.sim.earth import frames
-from fluxtwin.sim.earth.field import load_field
+from fluxtwin.sim.earth.field import field_N_nT, load_field
 from fluxtwin.sim.run.simulate import simulate
 from fluxtwin.sim.scenario.scenario import parse_scenario
 from fluxtwin.sim.spacecraft.sensors.magnetometer import Magnetometer
@@ -145,6 +148,23 @@ def test_a_large_bias_and_matrix_are_found_from_the_size_of_the_field_alone(clos
         because="but for a turn of all axes, which a size cannot show, the calibration is the true one to 1e-4",
     )
     assert not np.allclose(b, 0.0, atol=500.0)
+
+
+@pytest.mark.parametrize(("share", "refused"), [(0.0195, False), (0.0205, True)])
+def test_a_bias_open_by_a_fiftieth_of_the_field_is_no_start(
+    monkeypatch: pytest.MonkeyPatch, share: float, refused: bool
+) -> None:
+    """Half its square over |B| is then 8 nT in 40,000."""
+    record = flight("b_nT = [12000.0, 9000.0, 0.0]")
+    size_nT = np.median(np.linalg.norm(field_N_nT(load_field(), record.time, np.asarray(record.r_N_km)), axis=1))
+    known = SimpleNamespace(names=("b_x", "S_xx"), sigmas=np.array([share * size_nT, 0.001]), S=TRUE_S, b_nT=TRUE_B_NT)
+    monkeypatch.setattr(start, "calibrate_scalar", lambda *_: SimpleNamespace(calibration=known))
+    if refused:
+        with pytest.raises(NoAnswer, match="b_x by"):
+            start_without_attitude(record, load_field())
+    else:
+        found = start_without_attitude(record, load_field())
+        assert found is not None and np.array_equal(found.S, TRUE_S) and np.array_equal(found.b_nT, TRUE_B_NT)
 
 
 def test_any_turn_of_the_body_leaves_the_residual_of_a_row_without_attitude_alone(close):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from fluxtwin.calib.common.direction import direction_knowledge
+from fluxtwin.calib.common.direction import direction_knowledge, even_directions
 from fluxtwin.calib.common.records import Calibration
 
 pytestmark = pytest.mark.property
@@ -74,3 +74,11 @@ def test_a_turn_is_the_angle_before_and_against_the_reference() -> None:
     known = Calibration(np.zeros((3, 3)), np.zeros(3), covariance=np.zeros((12, 12)))
     found = direction_knowledge(known, by[0], None, by[1], field, np.zeros(3))
     assert (found.before_deg, found.against_reference_deg) == pytest.approx((3.0, 2.0))
+
+
+def test_even_directions_are_unit_vectors_of_no_preferred_axis() -> None:
+    """Over the sphere the mean of u is 0 and that of u u^T is a third of the unit matrix."""
+    u = even_directions(1000)
+    assert np.linalg.norm(u, axis=1) == pytest.approx(1.0, abs=1e-12)
+    assert u.mean(axis=0) == pytest.approx(0.0, abs=1e-3)
+    assert u.T @ u / 1000.0 == pytest.approx(np.eye(3) / 3.0, abs=1e-3)

@@ -66,6 +66,10 @@ def test_a_turned_head_has_its_square_turned() -> None:
     corner = np.array([[np.sin(a) * np.sqrt(0.5), np.sin(a) * np.sqrt(0.5), np.cos(a)]])
     assert straight.sees(corner)[0]
     assert not turned.sees(corner)[0]
+    # Its x axis lies in the xy plane, towards larger azimuths, whatever the elevation.
+    for elevation_deg in (-60.0, 0.0, 45.0):
+        x_B = SunSensorSection(azimuth_deg=30.0, elevation_deg=elevation_deg).R_HB.as_matrix()[0]
+        assert x_B == pytest.approx([-0.5, np.sqrt(0.75), 0.0], abs=1e-15)
 
 
 def test_without_error_the_measurement_is_the_sun(close) -> None:

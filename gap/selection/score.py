@@ -230,7 +230,7 @@ class Board:
     def _drops(self, mixed: FloatArray, score: FloatArray, numbers: FloatArray) -> tuple[FloatArray, NDArray[np.intp]]:
         drop, rank = np.zeros(len(self.candidates)), np.zeros(len(self.candidates), dtype=np.intp)
         start = np.concatenate([[0], np.cumsum(self.rank)])[:-1]
-        for size in np.unique(self.rank[self.rank > 0]):
+        for size in np.unique(self.rank):
             members = np.flatnonzero((self.rank == size) & ~np.isin(np.arange(len(drop)), numbers))
             index = start[members][:, None] + np.arange(size)
             part = mixed[:, index].transpose(1, 0, 2)

@@ -153,8 +153,9 @@ def test_rows_may_come_in_any_pieces(record: Telemetry) -> None:
     again = begin(changed.select(slice(0, FIRST)), MODEL)
     # 0.1 deg is 70 nT, a new one every 600 s of 6100 s: 22 nT, here to 4.5 standard deviations; in 2e4 nT, 0.005.
     assert again.calibration.b_nT == pytest.approx([1500.0, -800.0, 300.0], abs=100.0)
-    assert again.calibration.S == pytest.approx(
-        np.array([[0.01, 0.002, 0.0], [0.0, -0.01, 0.0], [0.001, 0.0, 0.02]]), abs=0.005
+    assert (
+        pytest.approx(np.array([[0.01, 0.002, 0.0], [0.0, -0.01, 0.0], [0.001, 0.0, 0.02]]), abs=0.005)
+        == again.calibration.S
     )
     for start in range(FIRST, len(changed), 7):
         found = again.take(changed.select(slice(start, start + 7)))

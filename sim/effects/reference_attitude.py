@@ -88,9 +88,9 @@ class HorizonScannerBias(SignalEffect):
     follows = "latitude"
     settled_by = "a second attitude sensor beside the scanner"
     about = (
-        "reported roll and pitch are each too large by a sin(latitude) + b cos(2 latitude), a and b their two parameters, "
-        "latitude geocentric: the Earth's 15-micron radiance depends on latitude and season (Wertz 1978, section 4.2; "
-        "Phenneger et al. 1985: 0.05-0.2 deg); a constant part would be absorbed by S"
+        "reported roll and pitch are each too large by a sin(latitude) + b cos(2 latitude) of the geocentric latitude, "
+        "with two parameters a, b each: the Earth's 15-micron radiance depends on latitude and season (Wertz 1978, "
+        "section 4.2; Phenneger et al. 1985: 0.05-0.2 deg); a constant part would be absorbed by S"
     )
 
     parameters = tuple(
@@ -121,9 +121,9 @@ class YawDrift(SignalEffect):
     settled_by = "a second attitude sensor through the eclipse"
     about = (
         "reported yaw (3-1-2, so about nadir; with axis = body_z the rotation about body z) is too large by rate x time "
-        "since the first stamp or, with when = eclipse, since entering the shadow, and right outside it. So drifts the "
-        "gyro that propagates yaw while no sensor measures it (rate integration, Wertz 1978, section 6.5: 0.01-0.1 "
-        "deg/h for a good gyro, 10 deg/h for a small one)"
+        "since the first stamp or, with when = eclipse, since entering the shadow (it is right outside). A gyro that "
+        "propagates yaw while no sensor measures it drifts in this way (rate integration, Wertz 1978, section 6.5: "
+        "0.01-0.1 deg/h for a good gyro, 10 deg/h for a small one)"
     )
 
     def condition_on(self, setting: Setting) -> str | None:

@@ -32,7 +32,7 @@ class TorquerCoupling(SpacecraftField):
     name = "torquer_coupling"
     follows = "torquer"
     settled_by = "firing each torquer alone, on and off at full dipole, with the dipole in the telemetry"
-    about = "it is C m, m their dipole (T = -C of Lerner & Shuster 1981, eq. 1; Seasat 1.7 nT/(A m2) at 6 m)"
+    about = "the field is C m of their dipole m (T = -C of Lerner & Shuster 1981, eq. 1; Seasat 1.7 nT/(A m2) at 6 m)"
     parameters = vector_parameters("C", "nT/(A m2)", 2.0, axes=MATRIX)
 
     def values(self, setting: Setting) -> FloatArray | None:
@@ -59,8 +59,8 @@ class SolarArrayCurrent(SpacecraftField):
     follows = "current"
     settled_by = "steps of the load, or panels turned away from the sun, with the current in the telemetry"
     about = (
-        "the array is the solar array; positive along the axis (RAX: Springmann & Cutler 2012, doi 10.2514/1.56726; "
-        "CryoSat-2: Olsen et al. 2020)"
+        "current of the solar array; the field is positive along the axis (RAX: Springmann & Cutler 2012, "
+        "doi 10.2514/1.56726; CryoSat-2: Olsen et al. 2020)"
     )
     panel: PanelKind = "zenith"
 
@@ -234,7 +234,7 @@ class WheelField(SpacecraftField):
     name = "wheel_field"
     follows = None
     settled_by = "the wheel speed in the telemetry, or a few speeds held in turn"
-    about = "it is a cos(phase) + b sin(phase), aliased by the sampling (dipole law: Jackson, section 5.6)"
+    about = "the field is a cos(phase) + b sin(phase), aliased by the sampling (dipole law: Jackson, section 5.6)"
     wheel: int = 1
     """Number of the wheel, from 1."""
     frequency_Hz: float | None = None

@@ -144,7 +144,6 @@ CALIBRATIONS: dict[str, tuple[str, dict[str, Any]]] = {
             {"method": "forward"},
             {"parameters": "b"},
             {"robust": "none"},
-            {"robust": "huber"},
             {"covariance": "white"},
             {"attitude_sigma_deg": 0.1, "attitude_tau_s": 300.0},
             {"field_error_nT": 50.0},

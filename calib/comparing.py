@@ -16,6 +16,7 @@ import numpy as np
 
 from fluxtwin.calib.common.comparison import Comparison, MethodResult
 from fluxtwin.calib.common.design import reference_field_B_nT
+from fluxtwin.calib.common.digits import plain
 from fluxtwin.calib.common.direction import CONFIDENCE
 from fluxtwin.calib.common.observability import listed
 from fluxtwin.calib.common.options import Estimator
@@ -145,8 +146,8 @@ def _alike(order: list[str], errors: Mapping[str, FloatArray], stretch: np.ndarr
 
 
 def _is_worse(one: FloatArray, best: FloatArray, stretch: np.ndarray, kept: BoolArray) -> bool:
-    """Whether the mean square over stretches is larger by more than chance gives."""
-    if one is best:
+    """Whether the mean square over stretches is larger by more than chance gives, and its root in the digits shown."""
+    if plain(_mean_square(one[kept]) ** 0.5) == plain(_mean_square(best[kept]) ** 0.5):
         return False
     difference = np.array(
         [

@@ -42,7 +42,7 @@ class Fit(Shown):
     left_out: Mapping[str, int]
     """Rows not used, by reason."""
     rejected: int
-    """Rows that the robust weights set aside (they stay in `residuals_nT`, with weight near 0)."""
+    """Rows set aside as outliers (they stay in `residuals_nT`, without weight)."""
     variation: FieldVariation
     """Eigen-directions of <B|B>."""
     noise: ReadingNoise
@@ -123,5 +123,5 @@ def with_warnings(fit: F, telemetry: Telemetry, *, robust: bool) -> F:
         found.append("the torquers fired in these data but T was not estimated: compare with --parameters b,S,T")
     outliers = 0 if robust else int(find_outliers(fit.residuals_nT).sum())
     if outliers:
-        found.append(f"{outliers} rows are outliers (bit errors?): compare with robust weights (tukey)")
+        found.append(f"{outliers} rows are outliers (bit errors?): compare with --robust tukey")
     return replace(fit, messages=(*fit.messages, *found))

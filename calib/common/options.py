@@ -60,7 +60,9 @@ _OF_READINGS = ("driver", "robust", "covariance", "block_s", "field_error_nT", "
 """Options that mean the same to a method and to the one that finds the fields for it."""
 SCALAR = "fluxtwin.calib.scalar.calibrate:calibrate_scalar"
 """|B| knows nothing of the attitude, so no error of an attitude is in what it says of a column."""
-ROBUST = Option("Weights against outliers: tukey, huber or none.", str, "WEIGHTS", "kind of weights")
+ROBUST = Option(
+    "Outliers: tukey (six robust sigma) leaves them out, none keeps them.", str, "KIND", "treatment of outliers"
+)
 COVARIANCE = Option(
     "blocks (allows for errors that are correlated in time) or white.", str, "KIND", "kind of covariance"
 )

@@ -1,19 +1,20 @@
-"""Weights that bit errors do not move, and the outliers of a fit.
+"""The outliers of a fit.
 
 Iteratively reweighted least squares on the size of the residual vector, in the *forward* form B = G A H + o +
-C D: a bit error sits in the reading B, so there it can move the left side only and has no leverage. The
-weights then serve either direction. Huber weights lead from a start that no outlier reaches (G = I, o the
-median) to the neighbourhood; Tukey's biweight then gives gross errors the weight zero. Huber alone only
-bounds them: what it leaves of a wrong reading still attenuates S in the linear direction.
+C D: a bit error sits in the reading B, so there it can move the left side only and has no leverage. Huber weights
+lead from a start that no outlier reaches (G = I, o the median) to the neighbourhood, and Tukey's biweight to a fit that
+gross errors do not move. What it gives no weight is set aside, in either direction; least squares takes the rest. Weights
+between nought and one would make the sigmas of clean data wrong: they bend large residuals, and an attitude error makes
+large ones across the field alone.
 
-Scale: median of |r|, each axis on its own, which up to half of the samples may be bad. Source: Maronna,
-Martin & Yohai (2006), Robust Statistics, ch. 2, 4.
+Scale: median of |r|, each axis on its own, which up to half of the samples may be bad. Sources: Maronna,
+Martin & Yohai (2006), Robust Statistics, ch. 2, 4; Rousseeuw & Leroy (1987), Robust Regression, ch. 5 (least squares after
+rejection).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -31,49 +32,30 @@ _OUTLIER_SIGMA = 8.0
 _ROUNDS = 50
 
 
-@dataclass(frozen=True)
-class RobustWeights:
-    """Weights of the rows, and what the covariance must know about them."""
-
-    weights: FloatArray
-    """(N,) between 0 and 1."""
-    sharpness: float
-    """Mean derivative of the influence over the mean weight: slopes are 1/sharpness as uncertain."""
-
-    @property
-    def kept(self) -> BoolArray:
-        """(N,) rows that are not set aside."""
-        return np.asarray(self.weights >= 0.01)
-
-    @property
-    def rejected(self) -> int:
-        """How many are."""
-        return int((~self.kept).sum())
-
-
-def robust_weights(start_nT: FloatArray, refit: Callable[[FloatArray], FloatArray], kind: str) -> RobustWeights:
-    """Weights of rows by `huber` or `tukey`; `none`: one each.
+def rows_to_keep(start_nT: FloatArray, refit: Callable[[FloatArray], FloatArray], kind: str) -> BoolArray:
+    """(N,) rows that are no outliers, by `tukey`; `none`: all.
 
     start_nT: (N, 3) residuals that no outlier has pulled, up to a constant; (N, 1) where only |B| is fitted. refit:
-    residuals like it of the fit with the weights (N,) it is given.
+    residuals like it of the fit with the weights (N,) it is given. Raises NoAnswer where no row is left.
     """
     r = start_nT - np.median(start_nT, axis=0)
     weights = np.ones(len(r))
     if kind == "none":
-        return RobustWeights(weights, 1.0)
-    for stage in ("huber", "tukey") if kind == "tukey" else ("huber",):
+        return weights > 0.0
+    for weigh in (_huber, _tukey):
         for _ in range(_ROUNDS):
-            new, _ = _weigh(robust_distance(r), stage)
+            new = weigh(robust_distance(r))
             r = refit(new)
             moved = float(np.abs(new - weights).max())
             weights = new
             if moved < 1e-3:
                 break
-    distance = robust_distance(r)
-    weights, slope = _weigh(distance, kind)
-    # E[psi'] of a radial influence w(d) r in n dimensions is w + w'(d) d / n
-    sharpness = float((weights + slope * distance / r.shape[1]).mean() / weights.mean())
-    return RobustWeights(weights, sharpness)
+    return robust_distance(r) < TUKEY_AT
+
+
+def outlier_words(kept: BoolArray) -> str:
+    """How many rows are left out."""
+    return f"{int((~kept).sum())} outliers of more than {TUKEY_AT:g} robust sigma left out"
 
 
 def find_outliers(residuals: FloatArray) -> np.ndarray:
@@ -91,13 +73,12 @@ def robust_distance(r: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(((r / spread) ** 2).sum(axis=1)))
 
 
-def _weigh(distance: FloatArray, kind: str) -> tuple[FloatArray, FloatArray]:
-    """Weight w(d) and its derivative. Raises NoAnswer where no row has any."""
-    if kind == "huber":
-        outside = distance > _HUBER_AT
-        safe = np.where(outside, distance, _HUBER_AT)
-        return np.where(outside, _HUBER_AT / safe, 1.0), np.where(outside, -_HUBER_AT / safe**2, 0.0)
+def _huber(distance: FloatArray) -> FloatArray:
+    return np.asarray(_HUBER_AT / np.maximum(distance, _HUBER_AT))
+
+
+def _tukey(distance: FloatArray) -> FloatArray:
     u = np.minimum(distance / TUKEY_AT, 1.0)
     if not (u < 1.0).any():
         raise NoAnswer(f"each of the {len(u)} rows lies far from all others: --robust none, or more rows", evidence={})
-    return (1.0 - u**2) ** 2, -4.0 * u * (1.0 - u**2) / TUKEY_AT
+    return np.asarray((1.0 - u**2) ** 2)

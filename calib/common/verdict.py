@@ -42,7 +42,6 @@ _TRUSTED = 1.5  # a declared attitude error is trusted to that factor, as in `er
 _WEAK_S = 0.01  # 1 sigma: half a degree, or a percent of the field
 _MANY_OUTLIERS = 0.01  # of the rows: the share up to which the sigmas were measured (docs/calibration.md)
 _SHOWN = 5
-_SET_ASIDE = 0.01  # a weight below this share of the largest: the row does not count
 
 
 class Pair(NamedTuple):
@@ -171,7 +170,7 @@ def assess(
 
 def kept_rows(weights: FloatArray) -> BoolArray:
     """(N,) rows that count; the others were set aside as outliers."""
-    return np.asarray(weights >= _SET_ASIDE * weights.max(), dtype=np.bool_)
+    return np.asarray(weights > 0.0, dtype=np.bool_)
 
 
 def worst_pairs(fit: Fit) -> tuple[Pair, ...]:

@@ -16,7 +16,7 @@ from fluxtwin.calib.common.fit import Fit, with_warnings
 from fluxtwin.calib.common.noise import ReadingNoise, per_axis
 from fluxtwin.calib.common.records import Calibration, TelemetryBias
 from fluxtwin.calib.common.residuals import residual_statistics
-from fluxtwin.calib.common.robust import robust_weights
+from fluxtwin.calib.common.robust import rows_to_keep
 from fluxtwin.calib.common.verdict import kept_rows
 from fluxtwin.calib.common.words import say
 from fluxtwin.calib.gyro.method import GyroOptions
@@ -108,7 +108,7 @@ def _fit(
     _require_turns(solved, used.mag_B_nT - follows @ solved.fields_nT, options)
     in_stretch, residual_nT = solved.rows, solved.residual_nT
     w = weights[in_stretch]
-    kept = w >= 0.01
+    kept = w > 0.0
     noise = _noise(options, solved.variance_nT2)
     beside = f", field of {' and '.join(columns)} estimated" if columns else ""
     fields_sigma_nT = np.sqrt(np.diag(solved.fields_covariance)).reshape(-1, 3)
@@ -174,7 +174,7 @@ def _robust(
     length_s: float,
     options: GyroOptions,
 ) -> tuple[Solved, FloatArray]:
-    """The answer with weights that outliers do not move, and the weights (N,)."""
+    """The answer without outliers, and the weights (N,): none of an outlier."""
     rows, whole = np.concatenate(cuts), np.ones(len(used))
 
     def fit(start: Solved | None, *, corrected: bool) -> Solved:
@@ -192,7 +192,7 @@ def _robust(
         found = fit(found, corrected=False)
         return found.residual_nT
 
-    whole[rows] = robust_weights(found.residual_nT, refit, options.robust).weights
+    whole[rows] = rows_to_keep(found.residual_nT, refit, options.robust)
     return fit(None, corrected=True), whole
 
 
@@ -220,8 +220,8 @@ def _require_no_false_turns(
     field = fields_without_errors(used.time, again, rates, cuts, length_s, weights)
     again[solved.rows] = field + np.sqrt(solved.variance_nT2) * rng.standard_normal(field.shape)
     perturbed = rates + _PERTURBED * solved.gyro_noise_rad_s * rng.standard_normal(rates.shape)
-    with_S, kept = options.parameters != "b", (weights > 0.01).astype(np.float64)
-    found = solve(used.time, again, perturbed, cuts, length_s, columns, with_S=with_S, weights=kept)
+    with_S = options.parameters != "b"
+    found = solve(used.time, again, perturbed, cuts, length_s, columns, with_S=with_S, weights=weights)
     if float(found.b_nT @ np.linalg.solve(found.covariance[9:, 9:], found.b_nT)) > _REPEATED:
         raise NoAnswer(
             say("gyro.false_turns", size=np.linalg.norm(found.b_nT)),

@@ -27,7 +27,7 @@ class GyroOptions(of.Options):
     method: str = field(default="gyro", metadata=of.METHOD("gyro"))
     parameters: str = field(default="b,S", metadata=of.PARAMETERS("b", "b,S"))
     driver: Sequence[str] = field(default=(), metadata=of.DRIVER())
-    robust: str = field(default="tukey", metadata=of.ROBUST("none", "huber", "tukey"))
+    robust: str = field(default="tukey", metadata=of.ROBUST("none", "tukey"))
     stretch_s: float | None = field(default=None, metadata=_STRETCH_S())
     noise_nT: float | FloatArray | None = field(default=None, metadata=of.NOISE_NT())
 

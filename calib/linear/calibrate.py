@@ -26,7 +26,7 @@ from fluxtwin.calib.common.noise import ReadingNoise, reading_noise
 from fluxtwin.calib.common.records import Calibration, TelemetryBias
 from fluxtwin.calib.common.regression import Regression, regress, residuals
 from fluxtwin.calib.common.residuals import residual_statistics
-from fluxtwin.calib.common.robust import robust_weights
+from fluxtwin.calib.common.robust import outlier_words, rows_to_keep
 from fluxtwin.calib.linear.covariance_report import report_covariance
 from fluxtwin.calib.linear.driver_fields import drops as weighted_drops
 from fluxtwin.calib.linear.driver_fields import weighted_fields
@@ -120,12 +120,12 @@ def fit_design(
         fit = regress(y, x, a * more)
         return residuals(y, x, fit.M, fit.c)
 
-    robust = robust_weights(design.B_nT - design.H_nT, refit, options.robust)
-    observability.require_samples(int(robust.kept.sum()), wanted)
+    kept = rows_to_keep(design.B_nT - design.H_nT, refit, options.robust)
+    observability.require_samples(int(kept.sum()), wanted)
     if noise is None:
-        noise = reading_noise(design, refit(robust.weights), options.noise_nT, options.lsb_nT)
-    a = a * robust.weights
-    problem = LinearProblem(design, options, fired, a / a.sum(), robust, noise)
+        noise = reading_noise(design, refit(kept.astype(np.float64)), options.noise_nT, options.lsb_nT)
+    a = a * kept
+    problem = LinearProblem(design, options, fired, a / a.sum(), kept, noise)
     return _report(problem, _solve(problem), model_name, passes)
 
 
@@ -251,10 +251,8 @@ def _report(problem: LinearProblem, solution: Solution, model_name: str, passes:
     report = report_covariance(problem, solution, passes)
     covariance = report.covariance
     free = problem.effective / max(problem.effective - solution.M.shape[1] - 1, 1e-9)
-    kept, rejected = problem.robust.kept, problem.robust.rejected
+    kept, rejected = problem.kept, int((~problem.kept).sum())
     square = float(np.trace(problem.mean_square(solution.residual_nT))) / 3.0
-    if options.robust != "none":  # the weights shrink the tails of sound rows, too
-        square = float((solution.residual_nT[kept] ** 2).mean())
     sigma_nT = float(np.sqrt(square * free))
     variation = observability.field_variation(design.B_nT, problem.weights)
     words = observability.never_fired_words(problem.fired) if design.D_Am2 is not None else []
@@ -305,8 +303,8 @@ def _messages(problem: LinearProblem, solution: Solution, variation: observabili
             "S corrected for the noise of the reading (errors in variables): largest change "
             f"{plain(float(np.abs(solution.eiv_shift).max()), 2)}"
         )
-    if problem.robust.rejected:
-        out.append(f"robust weights ({problem.options.robust}): {problem.robust.rejected} outliers without weight")
+    if not problem.kept.all():
+        out.append(outlier_words(problem.kept))
     if problem.options.parameters != "b":
         out.append(f"{variation.words()}; condition number {plain(variation.condition_number)}")
     return tuple(out)
@@ -319,7 +317,7 @@ def _method_words(options: LinearOptions, columns: Sequence[str]) -> str:
     if options.corrects:
         parts.append("corrected for errors in variables")
     if options.robust != "none":
-        parts.append(f"{options.robust} weights")
+        parts.append("without outliers")
     return ", ".join(parts)
 
 

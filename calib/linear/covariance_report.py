@@ -95,26 +95,19 @@ class _Found(NamedTuple):
 def _correlated(problem: LinearProblem, solution: Solution, passes: np.ndarray | None) -> _Found:
     """Stacked covariance by the model of the errors, as far as blocks confirm it."""
     options = problem.options
-    kept = problem.robust.kept & (problem.weights > 0)
+    kept = problem.kept & (problem.weights > 0)
     posterior = find_errors(evidence(problem, solution, kept), options.attitude_sigma_deg, options.attitude_tau_s)
     if posterior is None:
         return _Found(_white(problem, solution), "too few rows to see correlation: white", 0.0, None)
-    sharpness = problem.robust.sharpness
     label = segments(problem.design.time)
     if passes is not None or options.block_s is not None:
         label = next(groupings(problem.design.time, label, passes, options.block_s))[0]
     added = sums(problem, solution, label)
-    spread = spread_of(
-        added,
-        posterior,
-        white_of(problem, solution),
-        np.pad(solution.M @ problem.noise_xx, ((0, 0), (0, 1))),
-        _white_factor(problem, solution),
-        sharpness,
-    )
+    shared = np.pad(solution.M @ problem.noise_xx, ((0, 0), (0, 1)))
+    spread = spread_of(added, posterior, white_of(problem, solution), shared)
     memory_s = posterior.memory_s(_field_nT(problem))
     checked = _checked(problem, spread, label, memory_s, passes)
-    whole = np.kron(np.eye(3), bread_of(solution.fit, problem.noise_xx)) / sharpness
+    whole = np.kron(np.eye(3), bread_of(solution.fit, problem.noise_xx))
     stacked = uncentred(whole @ checked.total @ whole.T, solution.fit.mean_x)
     covered_s = observed_s(problem.design.time, segments(problem.design.time))
     if problem.fits_S:
@@ -159,15 +152,6 @@ def _checked(
     else:
         words = f"variances multiplied by {misfit:.2g} on average, to agree with the scatter of {words}"
     return _Checked(up @ W @ up.T, misfit, words)
-
-
-def _white_factor(problem: LinearProblem, solution: Solution) -> float:
-    """Mean square that robust weights leave of white noise, over that of the rows with weight."""
-    if problem.options.robust == "none":
-        return 1.0
-    w, kept = problem.robust.weights, problem.robust.kept
-    r = (solution.own_residual_nT**2).sum(axis=1)
-    return float((w**2 * r)[kept].mean() / ((w**2)[kept].mean() * r[kept].mean()))
 
 
 def _field_nT(problem: LinearProblem) -> float:
@@ -274,12 +258,11 @@ def _from_field_error(problem: LinearProblem, solution: Solution) -> FloatArray:
 
 def _white(problem: LinearProblem, solution: Solution) -> FloatArray:
     effective, m, x = problem.effective, solution.M.shape[1], problem.sides[1]
-    sharpness, own = problem.robust.sharpness, solution.own_residual_nT
+    own = solution.own_residual_nT
     if x and effective >= _SANDWICH_ROWS * (m + 1):
-        stacked = sandwich_covariance(own, x, solution.fit, solution.M, problem.weights, problem.noise_xx)
-        return np.asarray(stacked / sharpness**2)
+        return sandwich_covariance(own, x, solution.fit, solution.M, problem.weights, problem.noise_xx)
     # With equal weights this is N/(N-p) times the mean of r r'.
-    rr = problem.mean_square(own, 2) * effective / max(effective - m - 1, 1e-9) / sharpness**2
+    rr = problem.mean_square(own, 2) * effective / max(effective - m - 1, 1e-9)
     return plain_covariance(solution.fit, solution.M, rr, effective, problem.noise_xx)
 
 

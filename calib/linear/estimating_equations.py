@@ -191,31 +191,27 @@ class Spread(NamedTuple):
     theta_rad2: FloatArray
     """(nodes,) power of the attitude error at each time constant."""
     slow_nT2: FloatArray
-    sharpness: float
 
 
-def spread_of(
-    added: RowSums, posterior: Posterior, white: FloatArray, shared: FloatArray, white_factor: float, sharpness: float
-) -> Spread:
+def spread_of(added: RowSums, posterior: Posterior, white: FloatArray, shared: FloatArray) -> Spread:
     """white: (3, 3) of a row, before the posterior's factor. shared: (3, m+1) mean product of a component of the noise in
-    residual and regressor. white_factor: of robust weights, their effect on it."""
+    residual and regressor."""
     K, size = added.score.shape
     # Within a cell an error counts as constant; one that lasts less is white, as strong as its integral over time.
     taus_s = (posterior.tau_s, posterior.slow_tau_s)
     brief = [np.where(tau < added.length_s, 1.0 / np.tanh(0.5 * added.step_s / tau), 0.0) for tau in taus_s]
     theta2, slow2 = posterior.theta_rad**2, posterior.slow_nT**2
-    W = white * float((posterior.sigma_nT**2).mean()) * white_factor
-    W = W + float((slow2 * brief[1]).mean()) * white_factor * np.eye(3)
+    W = white * float((posterior.sigma_nT**2).mean()) + float((slow2 * brief[1]).mean()) * np.eye(3)
     own = np.einsum("ij,kfg->kifjg", W, added.white_z).reshape(K, size, size)
     pull = np.einsum("ig,jf->ifjg", shared, shared).reshape(size, size)
-    own = own + added.white_z[:, -1, -1][:, None, None] * pull * white_factor
-    own = own + float((posterior.white_theta_rad**2 + theta2 * brief[0]).mean()) * white_factor * added.white_theta
+    own = own + added.white_z[:, -1, -1][:, None, None] * pull
+    own = own + float((posterior.white_theta_rad**2 + theta2 * brief[0]).mean()) * added.white_theta
     nodes = posterior.nodes_s
-    theta = sharpness**2 * posterior.on_nodes(np.where(brief[0] > 0, 0.0, theta2), posterior.tau_s)
-    slow = sharpness**2 * posterior.on_nodes(np.where(brief[1] > 0, 0.0, slow2), posterior.slow_tau_s)
+    theta = posterior.on_nodes(np.where(brief[0] > 0, 0.0, theta2), posterior.tau_s)
+    slow = posterior.on_nodes(np.where(brief[1] > 0, 0.0, slow2), posterior.slow_tau_s)
     from_all = own + _slow_part(added, added.seconds, nodes, theta, slow)
     total = from_all.sum(axis=0)
-    return Spread(added, 0.5 * (total + total.T), from_all, own, nodes, theta, slow, sharpness)
+    return Spread(added, 0.5 * (total + total.T), from_all, own, nodes, theta, slow)
 
 
 def of_blocks(spread: Spread, block: np.ndarray, count: int) -> tuple[FloatArray, FloatArray]:

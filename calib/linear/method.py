@@ -25,7 +25,7 @@ class LinearOptions(of.Options):
     driver: Sequence[str] = field(default=(), metadata=of.DRIVER())
     errors_in_variables: bool | None = field(default=None, metadata=_EIV())
     """None: on for `linear`. It also takes out the shortening by errors of the attitude."""
-    robust: str = field(default="tukey", metadata=of.ROBUST("none", "huber", "tukey"))
+    robust: str = field(default="tukey", metadata=of.ROBUST("none", "tukey"))
     covariance: str = field(default="blocks", metadata=of.COVARIANCE("white", "blocks"))
     block_s: float | None = field(default=None, metadata=of.BLOCK_S())
     field_error_nT: float | None = field(default=None, metadata=of.FIELD_ERROR_NT())

@@ -11,9 +11,8 @@ from fluxtwin.calib.common.design import Design
 from fluxtwin.calib.common.noise import ReadingNoise
 from fluxtwin.calib.common.records import Calibration
 from fluxtwin.calib.common.regression import Regression
-from fluxtwin.calib.common.robust import RobustWeights
 from fluxtwin.calib.linear.method import LinearOptions
-from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.base.types import BoolArray, FloatArray
 
 
 @dataclass(frozen=True)
@@ -25,8 +24,9 @@ class LinearProblem:
     fired: np.ndarray
     """Torquer axes that are fitted."""
     weights: FloatArray
-    """(N,) a_k of journal eq. 4, sum 1; the robust weights are in them."""
-    robust: RobustWeights
+    """(N,) a_k of journal eq. 4, sum 1; outliers have none."""
+    kept: BoolArray
+    """(N,) rows that are no outliers."""
     noise: ReadingNoise
 
     @property

@@ -26,7 +26,7 @@ from fluxtwin.calib.common.fit import Fit, with_warnings
 from fluxtwin.calib.common.noise import ReadingNoise, scalar_noise
 from fluxtwin.calib.common.records import Calibration, TelemetryBias
 from fluxtwin.calib.common.residuals import residual_statistics
-from fluxtwin.calib.common.robust import RobustWeights, robust_weights
+from fluxtwin.calib.common.robust import outlier_words, rows_to_keep
 from fluxtwin.calib.common.verdict import kept_rows
 from fluxtwin.calib.scalar import words
 from fluxtwin.calib.scalar.covariance import Scores, field_error_covariance, scalar_covariance, scores_of
@@ -46,7 +46,7 @@ from fluxtwin.calib.scalar.observability import (
 from fluxtwin.calib.scalar.rows import ScalarRows, assemble_scalar
 from fluxtwin.calib.scalar.twostep import center, center_terms, twostep
 from fluxtwin.sim.base.errors import NoAnswer
-from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.earth.field import FieldModel
 from fluxtwin.sim.telemetry.record import Telemetry
 
@@ -206,7 +206,7 @@ def fit_rows(
     how = geometry(problem.data, problem.scale_nT)
     start = pack(np.zeros((3, 3)), center(problem.data), problem.data)
     require_observed(add_up(start, problem.data, noise=True), problem.names, how)
-    solved, robust = _first(problem, start)
+    solved, kept = _first(problem, start)
     noise = scalar_noise(
         rows.B_nT, rows.time, residual(solved.p, problem.data) * problem.scale_nT, options.noise_nT, options.lsb_nT
     )
@@ -214,15 +214,15 @@ def fit_rows(
     how = geometry(problem.data, problem.scale_nT)
     first = solved
     try:
-        solved, notes = _estimate(problem, first, robust)
+        solved, notes = _estimate(problem, first, kept)
     except NoAnswer:
         for p in (start, first.p):  # says more where it applies
             require_observed(add_up(p, problem.data, noise=True), problem.names, how, over_noise=10.0)
         refuse_thin(add_up(start, problem.data), problem.names, how)
         raise
-    a = robust.weights
+    a = kept.astype(np.float64)
     inflation = solved.sums.cost / max(float(a.sum()) - problem.data.size, 1.0)
-    scores = _scores(problem, solved, robust)
+    scores = _scores(problem, solved, a)
     if options.method == "center":
         require_observed(_center_sums(problem, solved), problem.names, how, max(inflation, 1.0))
     else:
@@ -233,11 +233,11 @@ def fit_rows(
         if mirrored is not None:
             better, sentence = choose(polished, mirrored, problem.data, problem.names, problem.scale_nT, inflation, how)
             solved = solved if better is polished else better
-            scores = _scores(problem, solved, robust)
+            scores = _scores(problem, solved, a)
             notes.append(sentence)
         settled = options.robust != "none" and solved.converged
         require_meaning(solved, problem.data, problem.names, how, problem.scale_nT, robust=settled)
-    return _report(problem, solved, scores, noise, robust, how, inflation, notes, model_name, passes)
+    return _report(problem, solved, scores, noise, kept, how, inflation, notes, model_name, passes)
 
 
 def make_problem(rows: ScalarRows, options: ScalarOptions) -> ScalarProblem:
@@ -256,8 +256,8 @@ def make_problem(rows: ScalarRows, options: ScalarOptions) -> ScalarProblem:
     return ScalarProblem(rows, options, data, scale, columns, rms, dead)
 
 
-def _first(problem: ScalarProblem, start: FloatArray) -> tuple[Solved, RobustWeights]:
-    """A solution before the noise is known, and the robust weights."""
+def _first(problem: ScalarProblem, start: FloatArray) -> tuple[Solved, BoolArray]:
+    """A solution before the noise is known, and the rows (N,) that are no outliers."""
     data, p = problem.data, start
 
     def refit(weights: FloatArray) -> FloatArray:
@@ -266,14 +266,14 @@ def _first(problem: ScalarProblem, start: FloatArray) -> tuple[Solved, RobustWei
         return residual(p, data)[:, None]
 
     size = np.sqrt((data.B**2).sum(axis=1))
-    robust = robust_weights((size - data.H)[:, None], refit, problem.options.robust)
-    return solve(p, data, robust.weights, adjusted=False), robust
+    kept = rows_to_keep((size - data.H)[:, None], refit, problem.options.robust)
+    return solve(p, data, kept.astype(np.float64), adjusted=False), kept
 
 
-def _estimate(problem: ScalarProblem, first: Solved, robust: RobustWeights) -> tuple[Solved, list[str]]:
+def _estimate(problem: ScalarProblem, first: Solved, kept: BoolArray) -> tuple[Solved, list[str]]:
     """The method's own answer, with what is to be said about the way to it."""
     data, method = problem.data, problem.options.method
-    a, sharpness = robust.weights, robust.sharpness
+    a = kept.astype(np.float64)
     if method == "center":
         p = center(data, a)
         return Solved(p, add_up(p, data, a), True, 1), []
@@ -286,22 +286,21 @@ def _estimate(problem: ScalarProblem, first: Solved, robust: RobustWeights) -> t
             raise NoAnswer(words.not_settled("TWOSTEP"), evidence={"b_nT": (-step.b * problem.scale_nT).tolist()})
         p = pack(step.D, step.b, data)
         return Solved(p, add_up(p, data, a), True, 1), notes
-    found = [solve(first.p, data, a, sharpness=sharpness)]
+    found = [solve(first.p, data, a)]
     if step.converged:
-        found.append(solve(pack(step.D, step.b, data), data, a, sharpness=sharpness))
+        found.append(solve(pack(step.D, step.b, data), data, a))
     settled = [one for one in found if one.converged]
     if not settled:
         raise NoAnswer(words.not_settled("the search"), evidence={"parameters": found[0].p.tolist()})
     return min(settled, key=lambda one: one.sums.cost), notes
 
 
-def _scores(problem: ScalarProblem, solved: Solved, robust: RobustWeights) -> Scores:
-    a, sharpness = robust.weights, robust.sharpness
+def _scores(problem: ScalarProblem, solved: Solved, a: FloatArray) -> Scores:
     if problem.options.method == "center":
         rows, slope, half = center_terms(solved.p, problem.data, a)
         far = -2.0 * half * (a * problem.data.H)[:, None]
-        return Scores(rows, sharpness * slope, far, np.sqrt(sharpness * a)[:, None] * half)
-    return scores_of(solved, problem.data, a, sharpness)
+        return Scores(rows, slope, far, np.sqrt(a)[:, None] * half)
+    return scores_of(solved, problem.data, a)
 
 
 def _center_sums(problem: ScalarProblem, solved: Solved) -> Sums:
@@ -317,7 +316,7 @@ def _report(
     solved: Solved,
     scores: Scores,
     noise: ReadingNoise,
-    robust: RobustWeights,
+    kept: BoolArray,
     how: Geometry,
     inflation: float,
     notes: list[str],
@@ -339,12 +338,11 @@ def _report(
         messages.append(words.field_error(options.field_error_nT, rows.radian_s))
     if not data.with_D:
         messages += words.missing_S(solved, data, inflation)
-    if robust.rejected:
-        messages.append(f"robust weights ({options.robust}): {robust.rejected} outliers without weight")
+    if not kept.all():
+        messages.append(outlier_words(kept))
     units = np.array([problem.rms_of[name] for name in problem.columns])
     S, b_nT, T, whole, biases = file_parameters(solved.p, covariance, data, problem.columns, problem.scale_nT, units)
     with_T = "T" in options.parameters
-    kept = robust.kept
     residuals_nT = (r * problem.scale_nT)[:, None]
     sigma_nT = float(np.sqrt((residuals_nT[kept] ** 2).sum() / max(int(kept.sum()) - data.size, 1)))
     unobservable = [
@@ -371,10 +369,10 @@ def _report(
         method=options.method,
         time=rows.time,
         residuals_nT=residuals_nT,
-        weights=robust.weights / robust.weights.sum(),
+        weights=kept / kept.sum(),
         rows=rows.rows,
         left_out=dict(rows.left_out),
-        rejected=robust.rejected,
+        rejected=int((~kept).sum()),
         variation=observability.field_variation(rows.B_nT),
         noise=noise,
         statistics=residual_statistics(rows.time[kept], residuals_nT[kept]),

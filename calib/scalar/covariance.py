@@ -37,7 +37,7 @@ class Scores(NamedTuple):
     """(N, p) h whose products h h' add up to the slope."""
 
 
-def scores_of(solved: Solved, data: ScalarData, a: FloatArray, sharpness: float) -> Scores:
+def scores_of(solved: Solved, data: ScalarData, a: FloatArray) -> Scores:
     """Of the maximum-likelihood estimate; near enough for TWOSTEP, whose rows weigh the same."""
     rows = np.empty((len(data.H), data.size))
     slopes = np.empty((len(data.H), data.size))
@@ -45,10 +45,10 @@ def scores_of(solved: Solved, data: ScalarData, a: FloatArray, sharpness: float)
     for at, part in blocks(data):
         of = terms(solved.p, part)
         w = a[at] / of.q
-        rows[at] = w[:, None] * (of.g * of.r[:, None] - sharpness * of.shared)
+        rows[at] = w[:, None] * (of.g * of.r[:, None] - of.shared)
         slopes[at] = w[:, None] * of.g
-        half[at] = np.sqrt(sharpness * w)[:, None] * of.g
-    return Scores(rows - rows.mean(axis=0), sharpness * solved.sums.information, slopes, half)
+        half[at] = np.sqrt(w)[:, None] * of.g
+    return Scores(rows - rows.mean(axis=0), solved.sums.information, slopes, half)
 
 
 def white_covariance(scores: Scores) -> FloatArray:

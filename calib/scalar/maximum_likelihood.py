@@ -69,13 +69,9 @@ def solve(
     data: ScalarData,
     a: FloatArray | None = None,
     *,
-    sharpness: float = 1.0,
     adjusted: bool = True,
 ) -> Solved:
-    """Search from p. a: (N,) weights; sharpness: of robust weights, the share of the noise that they let through.
-
-    adjusted False stops at plain least squares.
-    """
+    """Search from p. a: (N,) weights. adjusted False stops at plain least squares."""
     now, rounds, converged = add_up(p, data, a), 0, False
     damping = 1e-3
     while rounds < _ROUNDS and damping < 1e10 and not converged:
@@ -90,7 +86,7 @@ def solve(
             converged = _settled(step, now, data) and damping < 1.0
             damping *= 10.0
     for _ in range(_ADJUSTMENTS if adjusted and converged else 0):
-        step = -solve_scaled(now.information, now.score - sharpness * now.shared)
+        step = -solve_scaled(now.information, now.score - now.shared)
         p = p + step
         now = add_up(p, data, a)
         rounds += 1

@@ -25,7 +25,7 @@ class ScalarOptions(of.Options):
     driver: Sequence[str] = field(default=(), metadata=of.DRIVER())
     """Columns of telemetry whose field is estimated too (Springmann & Cutler 2012)."""
     telemetry_bias: Sequence[str] = field(default=(), metadata=_TELEMETRY_BIAS())
-    robust: str = field(default="tukey", metadata=of.ROBUST("none", "huber", "tukey"))
+    robust: str = field(default="tukey", metadata=of.ROBUST("none", "tukey"))
     covariance: str = field(default="blocks", metadata=of.COVARIANCE("white", "blocks"))
     block_s: float | None = field(default=None, metadata=of.BLOCK_S())
     field_error_nT: float | None = field(default=None, metadata=of.FIELD_ERROR_NT())

@@ -158,7 +158,7 @@ def require_meaning(
 
     Where the readings hardly go the sums may hold such a combination to be known: errors that repeat with the spin, of
     attitude-free data the most usual ones, move the residual as a signal would. Elsewhere it comes of bit errors, of
-    a wrong unit or orbit; a fit whose robust weights converged is returned, with a warning.
+    a wrong unit or orbit; a fit without outliers that converged is returned, with a warning.
     """
     D, _, _ = unpack(solved.p, data)
     values, vectors = np.linalg.eigh(D)

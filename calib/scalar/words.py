@@ -28,7 +28,7 @@ def method(options: ScalarOptions, columns: tuple[str, ...]) -> str:
     if others:
         parts.append("field of " + " and ".join(others) + " estimated")
     if options.robust != "none":
-        parts.append(f"{options.robust} weights")
+        parts.append("without outliers")
     return ", ".join(parts)
 
 

@@ -28,7 +28,7 @@ from fluxtwin.calib.common.noise import ReadingNoise, scalar_noise
 from fluxtwin.calib.common.observability import field_variation
 from fluxtwin.calib.common.records import LARGE_S, Calibration
 from fluxtwin.calib.common.residuals import residual_statistics
-from fluxtwin.calib.common.robust import TUKEY_AT, find_outliers, robust_distance, robust_weights
+from fluxtwin.calib.common.robust import TUKEY_AT, find_outliers, robust_distance, rows_to_keep
 from fluxtwin.calib.linear.calibrate import fit_design
 from fluxtwin.calib.linear.method import LinearOptions
 from fluxtwin.calib.scalar.maximum_likelihood import solve
@@ -85,7 +85,7 @@ def outlying_readings(rows: SpinRows) -> np.ndarray:
         p = solve(p, data, weights, adjusted=False).p
         return residual(p, data)[:, None]
 
-    robust_weights(residual(p, data)[:, None], refit, "tukey")
+    rows_to_keep(residual(p, data)[:, None], refit, "tukey")
     return find_outliers(residual(p, data)[:, None])
 
 

@@ -165,45 +165,39 @@ def flip_bits(reading: np.ndarray, lsb_nT: float, share: float, rng: np.random.G
     return (counts - 128) * lsb_nT
 
 
-@pytest.mark.parametrize("kind", ["tukey", "huber"])
 @pytest.mark.parametrize("direction", ["linear", "forward"])
-def test_robust_weights_survive_five_per_cent_bit_errors(seasat: Any, kind: str, direction: str) -> None:
+def test_five_per_cent_bit_errors_are_left_out(seasat: Any, direction: str) -> None:
     """Every parameter within 4 sigma of the truth where plain least squares is lost. 40 runs of 12.
 
-    Tukey's weights set the errors aside: of 480 pulls one beyond 4 sigma has a probability of 3 %, two
-    5e-4. Huber's only bound them: b must come within a third of the plain error.
+    Of 480 pulls one beyond 4 sigma has a probability of 3 %, two 5e-4.
     """
     meter = seasat.magnetometer(noise_nT=150.0, lsb_nT=440.0)
     design = design_of(seasat)
-    robust, robust_b, plain_b = [], [], []
+    robust, plain_b = [], []
     for seed in range(40):
         rng = np.random.default_rng([14, seed])
         now = with_reading(design, flip_bits(meter.reading(seasat.field_B_nT, None, rng), 440.0, 0.05, rng))
         known = LinearOptions(method=direction, noise_nT=150.0, lsb_nT=440.0, covariance="white", robust="none")
-        fit = fit_design(now, dataclasses.replace(known, robust=kind))
+        fit = fit_design(now, dataclasses.replace(known, robust="tukey"))
         robust.append(pull(fit, meter))
-        robust_b.append(np.abs(fit.calibration.b_nT - meter.b_nT).max())
         plain_b.append(np.abs(fit_design(now, known).calibration.b_nT - meter.b_nT).max())
     assert np.median(plain_b) > 150.0
-    assert np.median(robust_b) < np.median(plain_b) / 3.0
-    if kind == "tukey":
-        assert (np.abs(robust) > 4.0).sum() <= 1
-        assert 0.7 < np.var(robust, axis=0).mean() < 1.4
+    assert (np.abs(robust) > 4.0).sum() <= 1
+    assert 0.7 < np.var(robust, axis=0).mean() < 1.4
 
 
-def test_robust_weights_cost_little_on_clean_data(seasat: Any) -> None:
-    """Tukey's sigma is within 15 % of least squares and its pulls are right (200 runs, mean variance)."""
+def test_clean_data_lose_no_row(seasat: Any) -> None:
+    """8e-8 of Gaussian rows lie beyond six sigma: least squares, and its pulls (50 runs, mean variance)."""
     meter = seasat.magnetometer(noise_nT=300.0)
     design = design_of(seasat)
-    found, growth = [], []
-    for seed in range(200):
+    found = []
+    for seed in range(50):
         now = with_reading(design, meter.reading(seasat.field_B_nT, None, np.random.default_rng([15, seed])))
         plain = fit_design(now, LinearOptions(noise_nT=300.0, lsb_nT=0.0, covariance="white", robust="none"))
         robust = fit_design(now, LinearOptions(noise_nT=300.0, lsb_nT=0.0, robust="tukey", covariance="white"))
         found.append(pull(robust, meter))
-        growth.append(robust.calibration.sigmas / plain.calibration.sigmas)
+        assert np.array_equal(robust.calibration.sigmas, plain.calibration.sigmas)
     assert 0.8 < np.var(found, axis=0).mean() < 1.25
-    assert 0.95 < np.mean(growth) < 1.15
 
 
 def test_block_rules() -> None:

@@ -73,7 +73,7 @@ def test_a_part_of_a_turn_in_each_stretch_is_enough_for_b_and_a_slow_body_is_ref
     none = np.zeros((3, 3))
     found = []
     for seed in range(3):
-        record = flown(7100 + seed, "[0.8, 0.5, -0.6]", none)
+        record = flown(7100 + seed, "[0.8, 0.5, -0.6]", none, gyro=0.01)
         fit = fluxtwin.calibrate(record, method="gyro", parameters="b", stretch_s=80.0)
         assert fit.calibration.sigmas[9:].max() < 1500.0
         found.append(misfit(fit, none))

@@ -25,6 +25,7 @@ from fluxtwin.gap.hypotheses.evidence import fit_all
 from fluxtwin.gap.linear.projection import projected
 from fluxtwin.gap.noise.walk import likeliest_rate
 from fluxtwin.gap.noise.whitening import NoiseModel, Whitener, make_whitener, with_walk
+from fluxtwin.gap.posterior import structured
 from fluxtwin.gap.posterior.structured import Structured
 from fluxtwin.gap.problem.problem import Problem, pose
 from fluxtwin.gap.problem.row_axes import turn_images
@@ -342,6 +343,27 @@ def test_a_multiple_of_a_wheel_is_no_second_wheel(bench: Bench) -> None:
         line = np.outer(np.cos(phase), [60.0, 0.0, 30.0]) + np.outer(np.sin(phase), [0.0, 50.0, -20.0])
         left = projected(bench.whitener, noise + line, bench.calibration)
         assert companion(setting, left, strongest_line(t, left), named) is expected
+
+
+def test_the_noise_beside_a_walk_is_sought_at_its_rate_over_the_white_noise(monkeypatch: pytest.MonkeyPatch) -> None:
+    """5 nT/sqrt(s) beside 20 nT: 0.25 /sqrt(s)."""
+
+    class Asked(Exception):
+        pass
+
+    def asked(*_: Any, walk: float, **__: Any) -> None:
+        raise Asked(walk)
+
+    nothing: Any = SimpleNamespace()
+    answer: Any = SimpleNamespace(result=SimpleNamespace(residual_alone_nT=None), noise=NoiseModel(20.0, 0.0, 0.0))
+    answer.whitener, columns = None, np.zeros((1, 3, 2))
+    monkeypatch.setattr(structured, "without_names", lambda *_: columns)
+    monkeypatch.setattr(structured, "likeliest_rate", lambda *_: 5.0)
+    monkeypatch.setattr(structured, "choose_noise", asked)
+    monkeypatch.setattr(Structured, "_without_a_step", lambda *_: [(None, columns)])
+    with pytest.raises(Asked) as seen:
+        Structured(nothing, nothing, nothing)._walking(answer)
+    assert seen.value.args == (pytest.approx(0.25),)
 
 
 @pytest.mark.parametrize("needed", [False, True])

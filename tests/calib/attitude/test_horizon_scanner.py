@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fluxtwin.calib.attitude.horizon_scanner import calibrate_scanner
+from fluxtwin.calib.attitude.horizon_scanner import _by_pass, calibrate_scanner
 from fluxtwin.scenarios.hcmm import mission
 from fluxtwin.sim.base.errors import BadInput, NoAnswer
 
@@ -117,3 +117,10 @@ def _columns(record):
         "wheel_speed_rpm",
     )
     return [name for name in names if getattr(record, name) is not None]
+
+
+def test_three_passes_show_their_scatter_and_two_do_not() -> None:
+    """Residuals of 1 that pull neither angle anywhere within a pass: they scatter by nothing; two passes give 1 / n."""
+    J, residual = np.tile(np.eye(2), (12, 1)), np.tile([1.0, 1.0, -1.0, -1.0], 6)
+    assert np.abs(_by_pass(J, residual, np.repeat([4, 5, 9], 8))[0]).max() < 1e-15
+    assert _by_pass(J, residual, np.repeat([4, 9], 12))[0] == pytest.approx(np.eye(2) / 12.0)

@@ -18,7 +18,7 @@ from sgp4.api import Satrec
 from sgp4.io import fix_checksum
 
 from fluxtwin.calib.checks.check import check_file, check_telemetry
-from fluxtwin.calib.checks.clock import shifts_s
+from fluxtwin.calib.checks.clock import _further, shifts_s
 from fluxtwin.calib.checks.report import CheckReport
 from fluxtwin.calib.checks.sample import Origin, comparable
 from fluxtwin.sim.base.random_streams import stream
@@ -248,3 +248,9 @@ def test_origin_is_gcrs_unless_said(model: FieldModel, tmp_path: Path) -> None:
     record = read_telemetry(write(flown(model, GOOD, 0), tmp_path / "record.csv"))
     plain, said = check_telemetry(record, model), check_telemetry(record, model, Origin())
     assert plain == said
+
+
+def test_an_earth_turned_further_is_turned_about_its_pole() -> None:
+    turned, angle_rad = Rotation.random(20, random_state=4), np.linspace(-3.0, 3.0, 20)
+    wanted = Rotation.from_rotvec(np.outer(angle_rad, [0.0, 0.0, 1.0])) * turned
+    assert (_further(turned, angle_rad) * wanted.inv()).magnitude().max() < 1e-14

@@ -13,6 +13,7 @@ from fluxtwin.sim.earth.constants import EARTH_RATE_RAD_S, GM_EARTH_KM3_S2
 from fluxtwin.sim.earth.field import field_N_nT, load_field
 from fluxtwin.sim.earth.orbit import Orbit
 from fluxtwin.sim.spacecraft.dynamics import layout
+from fluxtwin.sim.spacecraft.dynamics.earth_kernels import from_earth, to_earth
 from fluxtwin.sim.spacecraft.dynamics.environment import Environment, environment_along
 from fluxtwin.sim.spacecraft.dynamics.flight import Start, fly
 from fluxtwin.sim.spacecraft.dynamics.vehicle import Vehicle
@@ -373,3 +374,16 @@ def test_impossible_parameters_are_refused(name: str) -> None:
     kind, tree = BAD[name]
     with pytest.raises(BadInput):
         validate(tree, kind, where="a test")
+
+
+def test_vectors_go_to_the_earth_through_each_rows_own_matrix_and_back() -> None:
+    """By scipy's turn about z; the slow matrices are any, so that every element is seen, and back is by the transpose."""
+    rng = np.random.default_rng(5)
+    vectors, slow, change, angle = (rng.standard_normal(shape) for shape in ((4, 3), (3, 3), (3, 3), 4))
+    each = [slow + row * change for row in range(4)]
+    about_z = Rotation.from_rotvec(np.outer(-angle, [0.0, 0.0, 1.0])).as_matrix()
+    turn, there, back = np.empty((4, 2)), np.empty((4, 3)), np.empty((4, 3))
+    to_earth(vectors, slow, change, angle, turn, there)
+    assert there == pytest.approx(np.array([z @ m @ v for z, m, v in zip(about_z, each, vectors, strict=True)]))
+    from_earth(vectors, slow, change, turn, back)
+    assert back == pytest.approx(np.array([m.T @ z.T @ v for z, m, v in zip(about_z, each, vectors, strict=True)]))

@@ -230,6 +230,7 @@ def test_chance_of_being_seen_is_that_of_the_score(close) -> None:
             unit="1",
             because="20,000 draws: 0.0035 at most, one sigma",
         )
+    assert _seen_by_chance(np.ones(3), 0.0) == 1.0
 
 
 def test_targets_keep_the_motion_and_follow_the_sun(problem: Problem) -> None:

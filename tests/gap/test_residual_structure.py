@@ -74,6 +74,15 @@ def test_the_searches_keep_their_false_alarm_rates() -> None:
     assert low["line"] <= 2
 
 
+def test_the_excess_of_a_drift_is_its_energy() -> None:
+    """Half a sigma up and half down, for 512 rows each, on one of three axes: 256. Means over 64 rows have 48 degrees of
+    freedom, so their energy scatters by sqrt(2 x 48 + 4 x 256) = 33; here to four standard deviations."""
+    series = np.random.default_rng(8).standard_normal((1024, 3))
+    series[:, 1] += np.repeat([0.5, -0.5], 512)
+    log10_p, excess = drift(make_left(series))
+    assert log10_p < -3.0 and excess == pytest.approx(256.0, abs=4.0 * 33.0)
+
+
 @pytest.mark.parametrize("even", [True, False])
 def test_a_line_is_found_at_its_frequency(even: bool) -> None:
     rng = np.random.default_rng(2)

@@ -11,6 +11,7 @@ import pytest
 from scipy.stats import norm
 from worlds import PARTS, scenario_text
 
+from fluxtwin.gap.planning import power
 from fluxtwin.gap.planning.base import base_tree
 from fluxtwin.gap.planning.choose import _answers, _rank, choose
 from fluxtwin.gap.planning.designs import Design, LimitsSection, designs
@@ -46,7 +47,9 @@ def base() -> Scenario:
 
 @pytest.mark.reference
 @pytest.mark.parametrize("share", [0.0, 0.5, 0.8])
-def test_power_of_two_lone_columns_is_that_of_the_bivariate_normal(share: float) -> None:
+def test_power_of_two_lone_columns_is_that_of_the_bivariate_normal(
+    monkeypatch: pytest.MonkeyPatch, share: float
+) -> None:
     """Two candidates with one column each, that share `share` of their energy, and a signal of length 8 along the first. The
     drops are squares of two normal deviates with that correlation; the second is outside the group of the first where it
     loses by more than 2 log 19, and the first passes the gate where its two-sided p-value is below 0.001."""
@@ -58,14 +61,15 @@ def test_power_of_two_lone_columns_is_that_of_the_bivariate_normal(share: float)
     scored = board(one, white, np.zeros((40, 3)), np.zeros((40, 3, 0)), 120)  # type: ignore[arg-type]
     signal = np.zeros(120)
     signal[0] = 8.0
+    monkeypatch.setattr(power, "_DRAWS", 100_000)
     found = probability_of("a", ["b"], scored, signal)
     # By quadrature: x along the first, y across it.
     x, y = np.meshgrid(np.linspace(0.0, 14.0, 1401), np.linspace(-6.0, 6.0, 1201), indexing="ij")
     own, other = x**2, (cosine * x + np.sqrt(1.0 - share) * y) ** 2
     named = (own - other) / (1.0 + 0.0015 * own) > 2.0 * np.log(19.0)
     wanted = np.sum(norm.pdf(x - 8.0) * norm.pdf(y) * (named & (x > norm.isf(0.0005)))) * 0.01 * 0.01
-    # Three sigma of a share among 400 draws are 0.075 at a half; penalties, alike for both, move it by less than 0.01.
-    assert abs(found - wanted) < 0.08
+    # Four sigma of a share among 100,000 draws are 0.005 at 0.81; penalties, alike for both, move it by less than 0.002.
+    assert abs(found - wanted) < 0.007
     assert abs(probability_of("b", ["a"], scored, signal)) < 0.05
 
 

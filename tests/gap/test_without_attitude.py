@@ -339,3 +339,9 @@ def test_axes_do_not_see_what_a_turn_does_through_a_wrong_matrix(close):
         unit="nT",
         because="(I + S)^T B is across (I + S)^-1 (theta x B)",
     )
+    nadir = np.where(np.arange(50)[:, None] < 25, Rotation.random(50, random_state=9).apply([0.0, 0.0, 1.0]), 0.0)
+    turn = np.where(nadir == 0.0, rng.standard_normal((50, 3)), 0.7 * nadir)  # about nadir where it is known
+    axes = row_axes(known, field, nadir, matrix, 1.0)
+    turned = (Rotation.from_rotvec(turn).apply(field) - field) @ np.linalg.inv(matrix).T
+    close(axes.without_turn(turned, field), np.zeros((50, 3)), atol=1e-9 * 3e4, unit="nT", because="sizes are kept")
+    close(axes.fitting_turn(turned, field)[:25], turn[:25], atol=1e-9, unit="rad", because="an angle about nadir")

@@ -325,6 +325,14 @@ def test_a_spike_stands_out_among_rows_of_which_half_are_not_measured():
     assert int(((weights <= 0) & measured).sum()) == 1
 
 
+def test_what_a_turn_does_to_a_row_with_attitude_comes_through_the_matrix_of_the_sensor(close):
+    sensor = Magnetometer(TRUE_S, TRUE_B_NT)
+    problem = pose(flight(), load_field("igrf14"), budget=Budget(10.0, 0.0, 1e-3), instrument=sensor)
+    theta, field = np.array([2e-6, -1e-6, 3e-6]), problem.field_B_nT
+    moved = (Rotation.from_rotvec(theta).apply(field) - field) @ np.linalg.inv(np.eye(3) + TRUE_S).T
+    close(problem.noise_image_nT @ theta, moved, atol=1e-6, unit="nT", because="second order: 7e-12 of 5e4 nT")
+
+
 def test_axes_do_not_see_what_a_turn_does_through_a_wrong_matrix(close):
     rng = np.random.default_rng(9)
     matrix = np.eye(3) + 0.05 * rng.standard_normal((3, 3))

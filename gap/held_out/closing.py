@@ -17,7 +17,7 @@ from fluxtwin.gap.records.diagnosis import Closure, EffectParameter, Transfer
 from fluxtwin.gap.selection.forward import RATIOS
 from fluxtwin.gap.selection.named import parameters_of
 from fluxtwin.gap.selection.refit import Readings, covariance_of, refit
-from fluxtwin.sim.base.errors import BadInput, NoAnswer
+from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.effects.base import Effect, SignalEffect
@@ -113,10 +113,8 @@ def closed_scenario(
 
     Without a scenario one is made that replays the telemetry, with the noise that was declared, else found.
     S, b and T take what was re-estimated together with the effects.
-    Raises NoAnswer when nothing was named, BadInput when the scenario has the same effect with other settings.
+    Raises BadInput when the scenario has the same effect with other settings.
     """
-    if closure.empty:
-        raise NoAnswer("no effect was named, so there is nothing to put into a scenario")
     base = _replaying(closure, telemetry, column_map) if scenario is None else scenario
     frozen = {effect.name: (effect, theta) for effect, theta in closure.problem.frozen}
     changes: dict[str, Any] = _files(base)

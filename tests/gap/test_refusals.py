@@ -11,6 +11,8 @@ from worlds import small_record
 from fluxtwin.calib.common.onboard import undone
 from fluxtwin.calib.common.records import Onboard
 from fluxtwin.calib.common.residuals import residual_statistics
+from fluxtwin.gap.diagnose import diagnose
+from fluxtwin.gap.planning.questions import typical
 from fluxtwin.gap.problem.problem import pose
 from fluxtwin.gap.watch import begin
 from fluxtwin.sim.base.errors import BadInput, FluxtwinError, NoAnswer
@@ -37,6 +39,13 @@ NOTHING = np.full((12, 3), np.nan)
 def test_a_record_or_an_effect_that_asks_nothing(changes: dict[str, Any], modelled: tuple[str, ...], said: str) -> None:
     with pytest.raises(FluxtwinError, match=said):
         pose(RECORD.replace(**changes), MODEL, modelled=modelled)
+
+
+def test_twelve_rows_are_too_few_and_a_distribution_has_no_course() -> None:
+    with pytest.raises(NoAnswer, match="the record is too short: it has 12 rows"):
+        diagnose(RECORD, MODEL)
+    with pytest.raises(BadInput, match="excess_noise is known by its distribution"):
+        typical("excess_noise")
 
 
 def test_one_row_has_no_velocity() -> None:

@@ -1,0 +1,106 @@
+"""Answers that no method gives: a solution that does not settle, is not determined or does not fit is refused in words."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from worlds import small_record
+
+from fluxtwin.calib import trend
+from fluxtwin.calib.attitude import recursive
+from fluxtwin.calib.attitude.horizon_scanner import ScannerCalibration
+from fluxtwin.calib.checks.check import check_file
+from fluxtwin.calib.common.records import array_of
+from fluxtwin.calib.gyro import calibrate as gyro
+from fluxtwin.calib.linear import calibrate as linear
+from fluxtwin.calib.spin import calibrate as spin
+from fluxtwin.calib.spin import sedlak, start
+from fluxtwin.sim.base.errors import BadInput, FluxtwinError
+from fluxtwin.sim.earth.field import load_field
+
+pytestmark = pytest.mark.property
+
+ONE = np.eye(12)
+PULSES = SimpleNamespace(time=None, t_s=np.arange(8.0), pulse_s=np.array([0.0, 1.0, 2.0, 5.0, 6.0, 9.0, 10.0]))
+FLOWN = SimpleNamespace(motion=None, last=SimpleNamespace(A=None))
+KNOWN = SimpleNamespace(
+    variance_nT2=np.ones(3), noise_nT=1.0, sun_sigma_deg=1.0, parameters="b,S", torque_walk_rad_s=1.0
+)
+
+
+@dataclass(frozen=True)
+class Settings:
+    """As those of the filter."""
+
+    extended: bool = False
+
+
+def turns(S_sigma: float, b_sigma_nT: float, b_nT: float) -> Any:
+    """A solution by gyro of a field of 100 nT along x."""
+    sigmas = np.repeat([S_sigma, b_sigma_nT], [9, 3])
+    return SimpleNamespace(S=np.zeros((3, 3)), b_nT=np.array([b_nT, 0.0, 0.0]), covariance=np.diag(sigmas**2))
+
+
+READING = np.array([[100.0, 0.0, 0.0]])
+
+
+def too_slow() -> None:
+    """A turn of 1 rad/s by a gyro whose noise `solve` below takes for a field of 50 nT."""
+    solved = SimpleNamespace(
+        gyro_noise_rad_s=1e-3, fields_nT=np.zeros((0, 3)), rows=[0], variance_nT2=1.0, b_nT=np.ones(3)
+    )
+    used = SimpleNamespace(mag_B_nT=READING, time=None)
+    gyro._require_no_false_turns(used, READING / 100.0, np.zeros((1, 0)), [], 1.0, KNOWN, solved, np.ones(1))
+
+
+REFUSALS: dict[str, Callable[[], object]] = {
+    "b: holds a number that is not finite": lambda: array_of([np.nan], (1,), "b"),
+    "b: is no array of numbers": lambda: array_of("b", (1,), "b"),
+    "there is no measured nadir": lambda: ScannerCalibration(np.zeros(2), np.eye(2), 1, 1, 0.0, 0.0, np.zeros(1)).apply(
+        small_record(2)
+    ),
+    "varies by less than the noise": lambda: linear._corrected(SimpleNamespace(xx=ONE, M=ONE), 2.0 * ONE),
+    "only 0 of 100 nT of the field would be left": lambda: gyro._require_turns(turns(0.0, 0.0, -100.0), READING, KNOWN),
+    r"S is not determined \(sigma 10\)": lambda: gyro._require_turns(turns(10.0, 0.0, 0.0), READING, KNOWN),
+    r"is not determined \(sigma 1000 nT\)": lambda: gyro._require_turns(turns(0.0, 1e3, 0.0), READING, KNOWN),
+    "without errors.* would be given a b of 50 nT": too_slow,
+    "do not determine .*b3": lambda: recursive._require_known(SimpleNamespace(p_covariance=ONE), ONE),
+    r"still move by 1e\+03 sigma after 6": lambda: recursive._settled(None, (), None, np.zeros(12), 1e6 * ONE),
+    "the batch leaves residuals 100 times the noise": lambda: spin._batch(
+        None, KNOWN, SimpleNamespace(state=None), None
+    ),
+    "still move by inf sigma after 0 passes": lambda: spin._regress(PULSES, KNOWN, FLOWN, KNOWN, Settings(), 1.0),
+    "the iteration does not settle": lambda: sedlak.iterate(PULSES, READING, None, 1.0, Settings(), 1.0),
+    "no five sun pulses in a row": lambda: start._first_pulse(PULSES),
+    "no parameter is in all of them": lambda: trend._names([SimpleNamespace(names=("b1",), sigma={"b1": None})]),
+}
+
+
+@pytest.mark.parametrize("said", REFUSALS)
+def test_no_answer_is_given(monkeypatch: pytest.MonkeyPatch, said: str) -> None:
+    far = SimpleNamespace(field_chi2=1e4, sun_chi2=1.0)
+    fields = SimpleNamespace(b_nT=np.array([50.0, 0.0, 0.0]), covariance=ONE)
+    moved = SimpleNamespace(p_covariance=1e-6 * ONE)
+    for module, name, stand_in in (
+        (spin, "solve_batch", lambda *_: SimpleNamespace(normal=far, converged=True)),
+        (spin, "_REGRESSIONS", 0),
+        (sedlak, "_PASSES", 0),
+        (recursive, "run", lambda _, __, ___, p, ____: SimpleNamespace(p=p + 1.0, **vars(moved))),
+        (gyro, "solve", lambda *_, **__: fields),
+        (gyro, "fields_without_errors", lambda *_: READING),
+    ):
+        monkeypatch.setattr(module, name, stand_in)
+    with pytest.raises(FluxtwinError, match=said):
+        REFUSALS[said]()
+
+
+def test_a_file_without_a_time(tmp_path: Path) -> None:
+    (tmp_path / "t.csv").write_text("time,mag_x_nT,mag_y_nT,mag_z_nT\n,1,2,3\n", encoding="utf-8")
+    with pytest.raises(BadInput, match=r"t\.csv: no row has a time"):
+        check_file(tmp_path / "t.csv", load_field("igrf14", degree=1))

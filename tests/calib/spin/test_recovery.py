@@ -138,7 +138,8 @@ LARGE = (np.linalg.inv(np.eye(3) + np.array([[4, 2, -3], [-1, -3, 2], [2, 1, 2.5
 )
 def test_other_spinners(config: Scenario, world: World, model: FieldModel, changes: dict[str, Any]) -> None:
     """Both ways end at the same place; noise is found, a third of the pulses is lost, and none in the middle third."""
-    flight = mission.fly(config.updated(changes), world)
+    flown = config.updated(changes)
+    flight = mission.fly(flown, world)
     sun_B = flight.telemetry.sun_B.copy()
     lost = np.random.default_rng(0).random(len(sun_B)) < 0.3
     lost[len(sun_B) // 3 : 2 * len(sun_B) // 3] = True
@@ -148,6 +149,7 @@ def test_other_spinners(config: Scenario, world: World, model: FieldModel, chang
         ratio = 1.4 if method == "iterative" and changes.get("attitude.nutation_deg") == 0.0 else None
         fit = calibrate_spin(flight.telemetry.replace(sun_B=sun_B), model, method=method, inertia_ratio=ratio)
         assert rss_deg(fit, flight) < 0.1
+        assert fit.motion["nutation_deg"] == pytest.approx(flown.attitude.nutation_deg, abs=0.1)
         assert np.abs((fit.calibration.values - truth_of(flight)) / fit.calibration.sigmas).max() < 5.0
 
 

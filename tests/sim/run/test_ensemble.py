@@ -176,6 +176,13 @@ def test_figures_are_those_of_the_series(scenario: Scenario, straight: Path, clo
     assert float(rows[4]["dynamics.yaw_deg"]) == plan.drawn(4)["dynamics.yaw_deg"]
 
 
+def test_a_spread_is_that_of_the_vehicles_that_were_flown() -> None:
+    """By hand, of 3, 1, 4, 1 and 5; the second vehicle was lost."""
+    found = summary._spread(np.array([3.0, np.nan, 1.0, 4.0, 1.0, 5.0]))
+    wanted = {"mean": 2.8, "std": np.sqrt(12.8 / 5.0), "min": 1.0, "max": 5.0, "p50": 3.0, "vehicle_of_max": 5}
+    assert {name: found[name] for name in wanted} == pytest.approx(wanted)
+
+
 def test_the_envelope_is_that_of_all_vehicles(
     scenario: Scenario, straight: Path, close: Callable[..., None], monkeypatch: pytest.MonkeyPatch
 ) -> None:

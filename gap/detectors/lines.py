@@ -128,14 +128,10 @@ def _linear(found: Fitted) -> bool:
     """Whether the vectors of cosine and sine are parallel: their cross product is zero within its error."""
     a, b = found.size[:3], found.size[3:]
     across = np.cross(a, b)
-    derivative = np.concatenate([-_skew(b), _skew(a)], axis=1)
+    derivative = np.concatenate([np.cross(np.eye(3), b), np.cross(a, np.eye(3))]).T
     scatter = derivative @ found.covariance @ derivative.T
     distance = float(across @ np.linalg.pinv(scatter, rcond=1e-6) @ across)
     return bool(stats.chi2.sf(distance, 2) > FALSE_ALARM)
-
-
-def _skew(v: FloatArray) -> FloatArray:
-    return np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
 
 
 def companion(setting: Setting, left: ProjectedResidual, line: Line, effect: Effect) -> bool:

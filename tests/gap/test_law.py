@@ -230,6 +230,21 @@ def test_a_law_is_charged_for_its_own_coefficients_alone() -> None:
     assert (found.explained, found.log_tried) == (pytest.approx(25.0), pytest.approx(np.log(500.0)))
 
 
+def test_only_the_best_eight_of_different_quantities_have_their_settings_moved() -> None:
+    """Of ten quantities, each as it stands and squared."""
+    terms = [(effect.Law(of=(f"driver_{name}{power}",)),) for name in "abcdefghij" for power in ("", "^2")]
+    fits = [SimpleNamespace(explained=lambda drop=100.0 - place: (drop, 3)) for place in range(len(terms))]
+    moved: list[str] = []
+    regression: Any = SimpleNamespace(
+        terms=terms, pool=SimpleNamespace(fits=lambda left: fits), _count=lambda terms: None
+    )
+    regression.order = lambda one, left, wider=1.0: one.drop
+    regression.moved = lambda one, left: moved.append(one.law.of[0]) or one
+    nothing: Any = None
+    Regression.best(regression, nothing)
+    assert moved == [f"driver_{name}" for name in "abcdefgh"]
+
+
 @pytest.mark.parametrize(("explained", "needed"), [(300.0, ["a", "b"]), (1e6, ["a"])])
 def test_what_a_term_leaves_for_its_own_shape_is_no_further_term(explained: float, needed: list[str]) -> None:
     """A second term is worth its drop of 100 beside noise, and not beside the shape error of a first of 1e6."""

@@ -48,7 +48,7 @@ def command(
                 wanted="--repair without --map, on a file that has the columns of the contract",
             )
         if repair is not None and not reading.whole:
-            raise BadInput("mends whole files", where="--repair", wanted="no --from, --to or --where beside it")
+            raise BadInput("mends whole files", where="--repair", wanted="no --from, --to or --where with it")
         output.claim(
             {"--repair": (repair, outputs.TELEMETRY), "--html": (html, outputs.PAGE)},
             [telemetry, onboard, field, *reading.files],

@@ -57,7 +57,7 @@ def _faint(cases: Sequence[Judged]) -> list[dict[str, Any]]:
     title = "single, with a Jacobian, visible 0.1-0.2"
     return [
         share_row(
-            f"{title}: first name, or silence below the size that is printed as detectable",
+            f"{title}: first name, or no gap while the printed detectable size is larger",
             ">= 95 %",
             mine,
             lambda c: c.first_right or honest_silence(c),
@@ -90,7 +90,7 @@ def _stated(cases: Sequence[Judged]) -> list[dict[str, Any]]:
     mean = float(np.mean(sizes)) if sizes else None
     return [
         counted_row("names stated at 95 % or more: present", ">= 97 %", sum(hits), len(hits), 0.97),
-        number_row("mean set size, everything named of records with a truth", COMPARED, mean, len(sizes), None),
+        number_row("mean group size, all names in records with a cause", COMPARED, mean, len(sizes), None),
     ]
 
 

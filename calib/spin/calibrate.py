@@ -336,8 +336,9 @@ def _regress(
     while left >= OF_SIGMA:
         if count == _REGRESSIONS:
             raise NoAnswer(
-                f"regression and filter in turn still move by {moved:.2g} sigma after {count} passes: the record is too "
-                "short to separate the magnetometer from the motion in this way; --method batch solves for both at once",
+                f"regression and filter in turn still change the answer by {moved:.2g} sigma after {count} passes: the "
+                "record is too short to separate the magnetometer from the motion in this way; --method batch solves for "
+                "both at once",
                 evidence={"moved_sigma": moved},
             )
         count += 1

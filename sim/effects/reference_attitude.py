@@ -86,7 +86,7 @@ class HorizonScannerBias(SignalEffect):
     stage = "attitude"
     frame = "orbital"
     follows = "latitude"
-    settled_by = "a second attitude sensor beside the scanner"
+    settled_by = "a second attitude sensor, in addition to the scanner"
     about = (
         "reported roll and pitch are each too large by a sin(latitude) + b cos(2 latitude) of the geocentric latitude, "
         "with two parameters a, b each: the Earth's 15-micron radiance depends on latitude and season (Wertz 1978, "

@@ -228,7 +228,7 @@ def test_what_is_stated_surely_is_counted_and_sets_and_time_are_said() -> None:
     rows = {row["figure"]: row for row in promises.rows(cases)}
     sure = rows["names stated at 95 % or more: present"]
     assert (sure["value"], sure["of"]) == (0.75, 4)
-    assert rows["mean set size, everything named of records with a truth"]["value"] == 1.5
+    assert rows["mean group size, all names in records with a cause"]["value"] == 1.5
     slow = [dataclasses.replace(cases[0], said=cases[0].said | {"seconds": float(k)}) for k in range(101)]
     assert value(promises.rows(slow), "processor time") == pytest.approx(99.0)
 

@@ -103,7 +103,7 @@ def test_options_of_other_methods_are_refused(flown: tuple[Any, Any], options: d
 
 
 def test_without_attitude_nadir_or_sun_there_is_no_start(flown: tuple[Any, Any]) -> None:
-    with pytest.raises(NoAnswer, match="cannot be started"):
+    with pytest.raises(NoAnswer, match="the filter cannot start"):
         fluxtwin.calibrate(flown[0].replace(q_NB=None), method="recursive")
 
 

@@ -171,7 +171,7 @@ def test_what_nobody_expects_costs_one_line(
 def test_an_option_without_its_value_is_said_to_lack_it(cli: Cli, tmp_path: Path) -> None:
     outcome = cli("calibrate", tmp_path / "x.csv", "--robust", "--out", tmp_path / "c.toml")
     assert outcome.status == 2
-    assert "--robust: '--out' is no kind of weights" in outcome.err
+    assert "--robust: '--out' is no treatment of outliers" in outcome.err
 
 
 @pytest.mark.parametrize("there", [True, False])

@@ -5,7 +5,10 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from types import SimpleNamespace
+from typing import Any
 
+import numpy as np
 import pytest
 
 import fluxtwin
@@ -62,3 +65,11 @@ def test_a_new_method_is_offered_once_it_is_registered(monkeypatch: pytest.Monke
         methods.require("mine", {"steps": 0})
     with pytest.raises(BadInput, match="--method mine, or leave it out"):
         methods.require("linear", {"steps": 2})
+
+
+def test_the_temperatures_are_of_the_rows_that_were_used() -> None:
+    """And to a hundredth of a degree, of those that are known."""
+    record: Any = SimpleNamespace(temperature_degC=np.array([-40.0, 21.004, np.nan, 18.0, 25.5, 90.0]))
+    assert methods._temperature(record, np.array([1, 2, 3, 4])) == (18.0, 25.5)
+    assert methods._temperature(record, np.array([1])) == (21.0, 21.0)
+    assert methods._temperature(record, np.array([2])) is None

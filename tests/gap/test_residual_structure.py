@@ -18,6 +18,7 @@ from fluxtwin.gap.linear.projection import (
     projected_out,
     projected_white,
     share_mimicked,
+    span_of,
 )
 from fluxtwin.gap.selection.criterion import THRESHOLD
 
@@ -50,6 +51,15 @@ def test_a_basis_taken_out_leaves_what_least_squares_leaves() -> None:
     columns, rest = np.split(np.random.default_rng(2).standard_normal((50, 6)), [4], axis=1)
     left = rest - columns @ np.linalg.lstsq(columns, rest, rcond=None)[0]
     assert np.allclose(projected_out(orthonormal(columns), rest), left, rtol=0.0, atol=1e-13)
+
+
+def test_coefficients_make_what_has_those_coordinates_in_the_basis() -> None:
+    rng = np.random.default_rng(4)
+    columns = rng.standard_normal((50, 3)) @ rng.standard_normal((3, 5)) * np.geomspace(1.0, 1e6, 5)
+    span, along = span_of(columns), np.array([3.0, -1.0, 2.0])
+    basis = span.basis(columns)
+    assert basis.T @ basis == pytest.approx(np.eye(3), abs=1e-12)
+    assert columns @ span.coefficients(along, 5) == pytest.approx(basis @ along, rel=1e-9)
 
 
 def test_columns_that_repeat_each_other_take_their_rank_of_the_degrees_of_freedom() -> None:

@@ -185,6 +185,19 @@ def test_wheels_between_rows_follow_a_parabola(close: Callable[..., None]) -> No
     close(dipole, between * [1.0, 1.0, 1.0], atol=1e-9, unit="A m2", because="rounding")
 
 
+def test_a_body_of_another_tensor_has_another_momentum_at_the_same_rates() -> None:
+    """J w of the body and h of the wheels, in N: of the two only J w changes."""
+    R_BN, rng = Rotation.random(4, random_state=3), np.random.default_rng(3)
+    one, two = np.diag([2.0, 3.0, 4.0]), np.diag([3.0, 4.5, 6.0])
+    rate, wheels = rng.normal(size=(2, 4, 3))
+    two[0, 1] = two[1, 0] = 0.2
+    craft = SimpleNamespace(vehicle=SimpleNamespace(inertia_kg_m2=one))
+    arcs: Any = SimpleNamespace(craft=craft, track=R_BN, wheels_B=wheels)
+    arcs.momentum_N = R_BN.inv().apply(rate @ one + wheels)
+    other: Any = SimpleNamespace(inertia_kg_m2=two)
+    assert Arcs.momentum_of(arcs, other) == pytest.approx(R_BN.inv().apply(rate @ two + wheels), abs=1e-12)
+
+
 def test_the_columns_of_a_cause_are_its_image() -> None:
     images = np.arange(12.0).reshape(2, 1, 3, 2)
     causes = [SimpleNamespace(effect=effect, jacobian=image) for effect, image in zip("ab", images, strict=True)]

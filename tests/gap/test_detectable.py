@@ -146,3 +146,8 @@ def test_a_slow_cause_that_the_noise_takes_up_is_printed_so_much_larger() -> Non
         hits_alone += slow.named(noise + alone * slow.cause[:, :, 0], tested)
     assert abs(hits / 150 - 0.9) < 0.1
     assert hits_alone / 150 < 0.5
+
+
+def test_what_no_drop_of_chi_square_shows_has_the_largest_that_is_tried() -> None:
+    """The tail of F with one degree of freedom falls by the root of F: of a million alternatives none stands out."""
+    assert Rule(3, 1_000_000, 100.0, freedom=1.0).least_drop == pytest.approx(4e4)

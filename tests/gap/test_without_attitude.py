@@ -352,4 +352,6 @@ def test_axes_do_not_see_what_a_turn_does_through_a_wrong_matrix(close):
     axes = row_axes(known, field, nadir, matrix, 1.0)
     turned = (Rotation.from_rotvec(turn).apply(field) - field) @ np.linalg.inv(matrix).T
     close(axes.without_turn(turned, field), np.zeros((50, 3)), atol=1e-9 * 3e4, unit="nT", because="sizes are kept")
+    longer = 100.0 * nadir @ np.linalg.inv(matrix).T  # along nadir nothing turns
+    close(axes.without_turn(longer, field)[:25], longer[:25], atol=1e-9 * 3e4, unit="nT", because="rounding")
     close(axes.fitting_turn(turned, field)[:25], turn[:25], atol=1e-9, unit="rad", because="an angle about nadir")

@@ -23,6 +23,7 @@ from fluxtwin.gap.hypotheses.courses import _hats, courses
 from fluxtwin.gap.hypotheses.evidence import Dictionary, fit_all
 from fluxtwin.gap.linear.projection import projected
 from fluxtwin.gap.noise.whitening import NoiseModel, Whitener, make_whitener
+from fluxtwin.gap.posterior import where
 from fluxtwin.gap.posterior.where import _variance, locate, step_fits
 from fluxtwin.gap.problem.problem import Problem, pose
 from fluxtwin.gap.problem.row_axes import turn_images
@@ -237,6 +238,16 @@ def test_each_column_of_a_block_has_a_letter(nadir: Design) -> None:
     """And there are blocks of the sensor that mix axes, by the temperature among others."""
     mixing = [block for block in nadir.found if block.condition == "temperature" and len(block.axes) % 9 == 0]
     assert mixing and all(len(block.axes) == block.make().shape[2] for block in nadir.found)
+
+
+def test_an_improbable_place_needs_more_to_be_claimed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Worth 20 at a prior of exp(-9) is 2, too little; worth 10 at a half is 8.6, more than 2 log 19 = 5.9."""
+    improbable = where._Hypothesis("time", None, None, float(np.exp(-9.0)), 0.0, 20.0, None)
+    probable = where._Hypothesis("sensor", None, None, 0.5, 0.0, 10.0, None)
+    left: Any = SimpleNamespace(degrees=3000)
+    for hypotheses, stage in (([improbable, probable], "sensor"), ([improbable], None)):
+        monkeypatch.setattr(where, "_hypotheses", lambda *_, hypotheses=hypotheses: hypotheses)
+        assert locate(left, []).stage == stage
 
 
 def test_the_places_of_an_effect_share_one() -> None:

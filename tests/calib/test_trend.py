@@ -73,6 +73,10 @@ def test_the_statistic_is_that_of_whitened_least_squares() -> None:
     w, b1 = np.array([c.sigma["b1"] for c in known], dtype=float) ** -2, np.array([c.b_nT[0] for c in known])
     q = (w * b1**2).sum() - (w * b1).sum() ** 2 / w.sum()
     assert one(found, "b1").q == pytest.approx(q, rel=1e-6)  # type: ignore[attr-defined]
+    named = [replace(c, spacecraft="Seasat") for c in known]
+    assert trend(named).q == found.q
+    with pytest.raises(BadInput, match="they are of HCMM and Seasat"):
+        trend([replace(known[0], spacecraft="HCMM"), *named[1:]])
     assert one(found, "b1").probability == pytest.approx(chi2.sf(q, 3), rel=1e-6)  # type: ignore[attr-defined]
 
 

@@ -9,7 +9,10 @@ import numpy as np
 import pytest
 
 import fluxtwin
+from fluxtwin.calib.attitude import recursive
+from fluxtwin.calib.attitude.filter import assemble_rows
 from fluxtwin.sim.base.errors import BadInput, NoAnswer
+from fluxtwin.sim.earth.field import load_field
 from fluxtwin.sim.run.simulate import simulate
 from fluxtwin.sim.scenario.scenario import Scenario, parse_scenario
 
@@ -44,6 +47,18 @@ def flown() -> tuple[Any, Any]:
     mag[[50, 220, 390, 560]] += 3000.0
     mag[730] += 500.0
     return telemetry.replace(mag_B_nT=mag), truth
+
+
+def test_a_wild_reading_stands_out_beside_a_large_turn_of_the_axes() -> None:
+    """1000 nT beside 70 nT of attitude error and 20 nT of noise; the magnetometer is turned by 3 deg about z."""
+    turned = [[0.0, 0.05, 0.0], [-0.05, 0.0, 0.0], [0.0, 0.0, 0.0]]
+    segment = {"start_utc": "2026-03-01T00:00:00Z", "duration_min": 60.0, "step_s": 20.0}
+    telemetry, _ = simulate(scenario(seed=3).updated({"schedule.segments": [segment], "magnetometer.S": turned}))
+    mag, model = np.array(telemetry.mag_B_nT), load_field("igrf14")
+    mag[77, 0] += 1000.0
+    wild = telemetry.replace(mag_B_nT=mag)
+    _, _, far = recursive._without_outliers(wild, assemble_rows(wild, model), model, "b,S")
+    assert np.flatnonzero(far).tolist() == [77]
 
 
 def test_with_a_noisy_reference_it_agrees_with_truth_and_the_batch(flown: tuple[Any, Any]) -> None:

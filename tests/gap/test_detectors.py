@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from worlds import scenario_text
 
-from fluxtwin.gap.detectors import switched_region
+from fluxtwin.gap.detectors import switched_region, two_state
 from fluxtwin.gap.detectors.codes import coarse_steps, flipped_bits, stuck_bit
 from fluxtwin.gap.detectors.finding import Finding
 from fluxtwin.gap.detectors.lines import companion, strongest_line, wheel_line
@@ -297,6 +297,19 @@ def test_a_walk_is_white_after_its_own_whitening(bench: Bench, close: Callable[.
     assert left.energy / left.degrees > 1.0 + 4 * np.sqrt(2 / left.degrees)
     assert drift(white)[0] > -3.0 > drift(left)[0]
     assert likeliest_rate(bench.whitener, noise, bench.calibration) is None
+
+
+@pytest.mark.parametrize(("most", "polished"), [(1, False), (2, True)])
+def test_the_edges_of_as_many_switches_as_are_allowed_are_moved(
+    monkeypatch: pytest.MonkeyPatch, most: int, polished: bool
+) -> None:
+    """Two switches, of which one is a row late; likelier is what has more rows right."""
+    truth, nothing = np.arange(20) // 5 == 1, SimpleNamespace()
+    found = truth & (np.arange(20) != 5)
+    monkeypatch.setattr(two_state, "_MOST_SWITCHES", most)
+    monkeypatch.setattr(two_state, "_worth", lambda left, on: 10.0 * np.sum(on == truth))
+    again = two_state._polished(nothing, found)  # type: ignore[arg-type]
+    assert np.array_equal(again, truth if polished else found)
 
 
 def test_dwell_times_scatter_about_the_mean_of_their_class() -> None:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,7 @@ from fluxtwin.calib.common.drivers import _Late, _with_lateness, distinguishable
 from fluxtwin.calib.common.fit import Fit
 from fluxtwin.calib.common.onboard import composed
 from fluxtwin.calib.common.records import Calibration, Onboard, TelemetryBias, seconds_of
+from fluxtwin.calib.linear import driver_fields
 from fluxtwin.calib.methods import calibrate_by
 from fluxtwin.calib.scalar.calibrate import _drops
 from fluxtwin.calib.scalar.rows import assemble_scalar
@@ -426,3 +428,24 @@ def test_a_driver_that_is_not_modelled_is_said_to_be_a_slow_error_and_not_noise(
         across_nT = np.radians(model.attitude_sigma_deg) * np.sqrt((field_nT**2).mean() * 2.0 / 3.0)
         stated = np.hypot(noise_nT, across_nT)
         close(model.expected_rms_nT / stated, 1.0, atol=0.03, unit="1", because="|B| is read, with S of 2 %")
+
+
+def test_products_of_columns_are_those_of_generalized_least_squares() -> None:
+    """Noise of 20, 30 and 40 nT, and a white attitude error of 0.1 deg: in a row their covariances add up, and its products
+    are X' C^-1 X, added over the rows."""
+    rng = np.random.default_rng(5)
+    H, B, part = 3e4 * rng.standard_normal((6, 3)), 3e4 * rng.standard_normal((6, 3)), rng.standard_normal(6)
+    errors = SimpleNamespace(
+        white_nT=np.array([20.0, 30.0, 40.0]), attitude_sigma_deg=0.1, attitude_tau_s=None, slow_nT=0.0, slow_tau_s=0.0
+    )
+    fit: Any = SimpleNamespace(error_model=errors, calibration=SimpleNamespace(S=np.zeros((3, 3))))
+    time = np.datetime64("2020-03-01", "ns") + 10_000_000_000 * np.arange(6)
+    design: Any = SimpleNamespace(H_nT=H, B_nT=B, time=time)
+    wanted = np.zeros((4, 4))
+    for field, reading, share in zip(H, B, part, strict=True):
+        C = np.diag([400.0, 900.0, 1600.0])
+        C += np.radians(0.1) ** 2 * (field @ field * np.eye(3) - np.outer(field, field))
+        X = np.column_stack([share * np.eye(3), reading - field])
+        wanted += X.T @ np.linalg.solve(C, X)
+    found = driver_fields._products(fit, design, np.arange(6), [part])
+    assert found == pytest.approx(wanted, rel=1e-9, abs=1e-12)

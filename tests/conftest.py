@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy loads: small matrices, and the same bits everywhere
@@ -33,12 +34,22 @@ settings.register_profile(
 settings.load_profile("fluxtwin")
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """--as-python: coverage.py sees a kernel as Python only, and with all others compiled few tests take long."""
+    words = "run the kernels of fluxtwin.MODULE as Python; repeatable"
+    parser.addoption("--as-python", action="append", default=[], metavar="MODULE", help=words)
+
+
 def pytest_configure(config: pytest.Config) -> None:
     """With pytest-xdist, the tests of a file run in one worker: what they share is computed once. (Its groups by marks
     would let the others go anywhere; pytest-xdist 3.8 loses them with pytest 9.2.)"""
     if getattr(config.option, "dist", "no") == "load":
         config.option.dist = "loadfile"
         config.option.loadscopereorder = False
+    for name in config.getoption("--as-python"):
+        module = importlib.import_module(f"fluxtwin.{name}")
+        kernels = {name: value.py_func for name, value in vars(module).items() if hasattr(value, "py_func")}
+        vars(module).update(kernels)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -16,7 +16,7 @@ from fluxtwin.calib import trend
 from fluxtwin.calib.attitude import recursive
 from fluxtwin.calib.attitude.horizon_scanner import ScannerCalibration
 from fluxtwin.calib.checks.check import check_file
-from fluxtwin.calib.common.records import array_of
+from fluxtwin.calib.common.records import Calibration, array_of
 from fluxtwin.calib.gyro import calibrate as gyro
 from fluxtwin.calib.linear import calibrate as linear
 from fluxtwin.calib.spin import calibrate as spin
@@ -27,8 +27,15 @@ from fluxtwin.sim.earth.field import load_field
 pytestmark = pytest.mark.property
 
 ONE = np.eye(12)
-PULSES = SimpleNamespace(time=None, t_s=np.arange(8.0), pulse_s=np.array([0.0, 1.0, 2.0, 5.0, 6.0, 9.0, 10.0]))
-FLOWN = SimpleNamespace(motion=None, last=SimpleNamespace(A=None))
+PULSES = SimpleNamespace(
+    time=None,
+    rows=None,
+    t_s=np.arange(8.0),
+    B_nT=np.zeros((8, 3)),
+    H_N_nT=np.zeros((8, 3)),
+    pulse_s=np.array([0.0, 1.0, 2.0, 5.0, 6.0, 9.0, 10.0]),
+)
+FLOWN = SimpleNamespace(motion=None, last=SimpleNamespace(A=np.zeros((8, 3, 3))))
 KNOWN = SimpleNamespace(
     variance_nT2=np.ones(3), noise_nT=1.0, sun_sigma_deg=1.0, parameters="b,S", torque_walk_rad_s=1.0
 )
@@ -71,11 +78,18 @@ REFUSALS: dict[str, Callable[[], object]] = {
     r"is not determined \(sigma 1000 nT\)": lambda: gyro._require_turns(turns(0.0, 1e3, 0.0), READING, KNOWN),
     "without errors.* would be given a b of 50 nT": too_slow,
     "do not determine .*b3": lambda: recursive._require_known(SimpleNamespace(p_covariance=ONE), ONE),
-    r"still move by 1e\+03 sigma after 6": lambda: recursive._settled(None, (), None, np.zeros(12), 1e6 * ONE),
+    r"still change the answer by 1e\+03 sigma after 6": lambda: recursive._settled(
+        None, (), None, np.zeros(12), 1e6 * ONE
+    ),
     "the batch leaves residuals 100 times the noise": lambda: spin._batch(
         None, KNOWN, SimpleNamespace(state=None), None
     ),
-    "still move by inf sigma after 0 passes": lambda: spin._regress(PULSES, KNOWN, FLOWN, KNOWN, Settings(), 1.0),
+    "still change the answer by inf sigma after 0 passes": lambda: spin._regress(
+        PULSES, KNOWN, FLOWN, KNOWN, Settings(), 1.0
+    ),
+    "diverge: squared innovations 1e\\+04 times the noise": lambda: spin._regress(
+        PULSES, KNOWN, FLOWN, KNOWN, Settings(), 1.0
+    ),
     "the iteration does not settle": lambda: sedlak.iterate(PULSES, READING, None, 1.0, Settings(), 1.0),
     "no five sun pulses in a row": lambda: start._first_pulse(PULSES),
     "no parameter is in all of them": lambda: trend._names([SimpleNamespace(names=("b1",), sigma={"b1": None})]),
@@ -89,7 +103,10 @@ def test_no_answer_is_given(monkeypatch: pytest.MonkeyPatch, said: str) -> None:
     moved = SimpleNamespace(p_covariance=1e-6 * ONE)
     for module, name, stand_in in (
         (spin, "solve_batch", lambda *_: SimpleNamespace(normal=far, converged=True)),
-        (spin, "_REGRESSIONS", 0),
+        (spin, "_REGRESSIONS", 0 if said.startswith("still") else 1),
+        (spin, "fit_design", lambda *_: SimpleNamespace(calibration=Calibration(np.zeros((3, 3)), np.zeros(3)))),
+        (spin, "spin_filter", lambda *_: SimpleNamespace(field_nis=1e4)),
+        (spin, "at", lambda *_: (None, None)),
         (sedlak, "_PASSES", 0),
         (recursive, "run", lambda _, __, ___, p, ____: SimpleNamespace(p=p + 1.0, **vars(moved))),
         (gyro, "solve", lambda *_, **__: fields),

@@ -16,9 +16,12 @@ from fluxtwin.calib import trend
 from fluxtwin.calib.attitude import recursive
 from fluxtwin.calib.attitude.horizon_scanner import ScannerCalibration
 from fluxtwin.calib.checks.check import check_file
+from fluxtwin.calib.common import calibration_file, robust
 from fluxtwin.calib.common.records import Calibration, array_of
 from fluxtwin.calib.gyro import calibrate as gyro
+from fluxtwin.calib.gyro import solve
 from fluxtwin.calib.linear import calibrate as linear
+from fluxtwin.calib.scalar import observability
 from fluxtwin.calib.spin import calibrate as spin
 from fluxtwin.calib.spin import sedlak, start
 from fluxtwin.sim.base.errors import BadInput, FluxtwinError
@@ -37,7 +40,13 @@ PULSES = SimpleNamespace(
 )
 FLOWN = SimpleNamespace(motion=None, last=SimpleNamespace(A=np.zeros((8, 3, 3))))
 KNOWN = SimpleNamespace(
-    variance_nT2=np.ones(3), noise_nT=1.0, sun_sigma_deg=1.0, parameters="b,S", torque_walk_rad_s=1.0
+    variance_nT2=np.ones(3),
+    noise_nT=1.0,
+    sun_sigma_deg=1.0,
+    parameters="b,S",
+    torque_walk_rad_s=1.0,
+    unit="nT",
+    stretch_s=None,
 )
 
 
@@ -55,12 +64,13 @@ def turns(S_sigma: float, b_sigma_nT: float, b_nT: float) -> Any:
 
 
 READING = np.array([[100.0, 0.0, 0.0]])
+LINE = observability.Geometry(np.eye(3)[0], READING[0, [1, 2, 0]], 100.0, 0.1, np.eye(3)[0], 0.1)
 
 
-def too_slow() -> None:
+def too_slow(noise_rad_s: float = 1e-3) -> None:
     """A turn of 1 rad/s by a gyro whose noise `solve` below takes for a field of 50 nT."""
     solved = SimpleNamespace(
-        gyro_noise_rad_s=1e-3, fields_nT=np.zeros((0, 3)), rows=[0], variance_nT2=1.0, b_nT=np.ones(3)
+        gyro_noise_rad_s=noise_rad_s, fields_nT=np.zeros((0, 3)), rows=[0], variance_nT2=1.0, b_nT=np.ones(3)
     )
     used = SimpleNamespace(mag_B_nT=READING, time=None)
     gyro._require_no_false_turns(used, READING / 100.0, np.zeros((1, 0)), [], 1.0, KNOWN, solved, np.ones(1))
@@ -77,6 +87,7 @@ REFUSALS: dict[str, Callable[[], object]] = {
     r"S is not determined \(sigma 10\)": lambda: gyro._require_turns(turns(10.0, 0.0, 0.0), READING, KNOWN),
     r"is not determined \(sigma 1000 nT\)": lambda: gyro._require_turns(turns(0.0, 1e3, 0.0), READING, KNOWN),
     "without errors.* would be given a b of 50 nT": too_slow,
+    "noise of .* deg/s per rate looks like rotation": lambda: too_slow(1.0),
     "do not determine .*b3": lambda: recursive._require_known(SimpleNamespace(p_covariance=ONE), ONE),
     r"still change the answer by 1e\+03 sigma after 6": lambda: recursive._settled(
         None, (), None, np.zeros(12), 1e6 * ONE
@@ -89,6 +100,17 @@ REFUSALS: dict[str, Callable[[], object]] = {
     ),
     "diverge: squared innovations 1e\\+04 times the noise": lambda: spin._regress(
         PULSES, KNOWN, FLOWN, KNOWN, Settings(), 1.0
+    ),
+    r"c\.toml: parameters: S11: is missing": lambda: calibration_file._parameters({"b1": KNOWN}, "c.toml"),
+    "each of the 3 rows lies far from all others": lambda: robust._tukey(np.full(3, 100.0)),
+    "fewer than .* stretches of rows follow each other": lambda: gyro._best(
+        small_record(3), np.zeros((3, 3)), np.zeros((3, 0)), KNOWN
+    ),
+    "nothing but noise moves a combination of S, b and the gyro's bias": lambda: solve._covariance(
+        [], np.zeros(12), -ONE, 1.0
+    ),
+    "the reading moves by 100 nT along one line and hardly across it": lambda: observability.refuse_thin(
+        SimpleNamespace(information=np.eye(3)), ("b1", "b2", "b3"), LINE
     ),
     "the iteration does not settle": lambda: sedlak.iterate(PULSES, READING, None, 1.0, Settings(), 1.0),
     "no five sun pulses in a row": lambda: start._first_pulse(PULSES),

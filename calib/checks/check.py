@@ -19,8 +19,9 @@ import numpy as np
 
 from fluxtwin.calib.checks.calibrated import check_calibrated
 from fluxtwin.calib.checks.field import check_field
+from fluxtwin.calib.checks.outliers import check_outliers
 from fluxtwin.calib.checks.report import CheckReport, Finding, note, report, trap
-from fluxtwin.calib.checks.sample import Origin
+from fluxtwin.calib.checks.sample import Origin, comparable
 from fluxtwin.calib.checks.stuck import check_stuck
 from fluxtwin.calib.checks.values import check_motion, check_readings
 from fluxtwin.calib.common.records import Onboard
@@ -139,8 +140,12 @@ def _against_field(
     if not on.any() or int(quiet.sum()) < _QUIET_ROWS:
         return usable, found
     again = check_field(telemetry, model, origin, quiet)
-    if any(finding.severity == "trap" for finding in again):
+    if any(finding.severity == "trap" and finding.code != "outliers" for finding in again):
         return usable, found
+    posed = comparable(telemetry, model, usable, with_attitude=True)
+    if posed is not None and posed.q_NB is not None:  # their field is fitted then, so that all rows can be looked at
+        again = [finding for finding in again if finding.code not in ("outliers", "rough_readings")]
+        again = [*check_outliers(telemetry, posed, model, usable, origin)[0], *again]
     return quiet, [*again, note("torquers_on", on=int(on.sum()), rows=len(telemetry))]
 
 

@@ -52,12 +52,16 @@ def check_outliers(
     sample: rows that can be compared with the model, with their attitude where it is known; None without positions.
     """
     mask = np.zeros(len(telemetry), dtype=bool)
-    rows, left, field = _left(telemetry, sample, model, usable)
+    rows, left, field, jumps_nT = _left(telemetry, sample, model, usable)
     if rows.size < _FEWEST:
         return [], mask
     deviation = _deviation(left)
     ratio = _ratio(deviation, field, least_step(telemetry.mag_B_nT[rows]))
-    out = np.flatnonzero((ratio > STANDS_OUT) & ~_driven(telemetry, rows, 1 if sample is not None else _FURTHEST))
+    if jumps_nT is None:
+        ratio[_driven(telemetry, rows, 1 if sample is not None else _FURTHEST)] = 0.0
+    else:  # a switch that was recorded some rows early or late makes a jump as large as its field
+        ratio *= np.maximum(1.0 - jumps_nT / np.maximum(np.linalg.norm(deviation, axis=1), 1e-9), 0.0)
+    out = np.flatnonzero(ratio > STANDS_OUT)
     if out.size == 0:
         return [], mask
     runs = np.split(out, np.flatnonzero(np.diff(out) > 1) + 1)
@@ -83,9 +87,10 @@ def _from_to(values: FloatArray) -> str:
 
 def _left(
     telemetry: Telemetry, sample: Sample | None, model: FieldModel, usable: BoolArray
-) -> tuple[np.ndarray, FloatArray, FloatArray | None]:
-    """Rows, their residuals (n, 1 or 3) [nT], in GCRS axes with attitude, along the field without; and in the first
-    case the field (n, 3)."""
+) -> tuple[np.ndarray, FloatArray, FloatArray | None, FloatArray | None]:
+    """Rows, their residuals (n, 1 or 3) [nT], in GCRS axes with attitude, along the field without; in the first case the
+    field (n, 3); and by how much (n,) the field of torquers, currents, drivers and flags changes among the neighbours, None
+    where it was not fitted."""
     good = telemetry.has_reading & usable
     if sample is None or telemetry.r_N_km is None:
         rows = np.flatnonzero(good)
@@ -95,28 +100,32 @@ def _left(
         inside = np.arange(_FURTHEST, max(size_nT.size - _FURTHEST, _FURTHEST))
         pairs = [0.5 * (size_nT[inside - k] + size_nT[inside + k]) for k in range(LONGEST_RUN + 1, _FURTHEST + 1)]
         left = np.asarray(size_nT[inside] - np.median(pairs, axis=0))
-        return rows[_FURTHEST:-_FURTHEST], left[:, None], None
+        return rows[_FURTHEST:-_FURTHEST], left[:, None], None, None
     good &= telemetry.has_position
     if sample.q_NB is not None:
         good &= telemetry.has_attitude
     rows = np.flatnonzero(good)
     field = field_N_nT(model, telemetry.time[rows], telemetry.r_N_km[rows])
     mag = np.array(telemetry.mag_B_nT[rows])
-    # (n, J) currents and drivers, each between 0 and 1, as many as the rows can tell apart. Their field is fitted too: in a
-    # body that turns fast it changes from row to row.
+    # (n, J) what acts on the reading, each between 0 and 1, as many as the rows can tell apart. Its field is fitted too:
+    # in a body that turns fast it changes from row to row.
     columns = [telemetry.array_current_A, telemetry.battery_current_A, *telemetry.drivers.values()]
-    known = [column[rows] for column in columns if column is not None]
+    q_NB = None if sample.q_NB is None else telemetry.q_NB
+    if q_NB is not None:  # |B| alone tells the others apart badly
+        dipole = [] if telemetry.dipole_B_Am2 is None else list(np.nan_to_num(telemetry.dipole_B_Am2).T)
+        columns = [*dipole, *columns, telemetry.heater_on, *telemetry.flags.values()]
+    known = [np.asarray(column, dtype=np.float64)[rows] for column in columns if column is not None]
     moving = [(one - one.min()) / np.ptp(one) for one in known if np.isfinite(one).all() and np.ptp(one) > 0.0]
     beside = np.array(moving[: rows.size // _ROWS_EACH]).reshape(-1, rows.size).T
-    if sample.q_NB is None or telemetry.q_NB is None:
-        size = np.linalg.norm(field, axis=1)
-        return rows, _ellipsoid(mag, size, beside)[:, None], None
-    R_BN = frames.rotation_from_q(telemetry.q_NB[rows])
+    if q_NB is None:
+        return rows, _ellipsoid(mag, np.linalg.norm(field, axis=1), beside)[:, None], None, None
+    R_BN = frames.rotation_from_q(q_NB[rows])
     predicted = R_BN.apply(field)
     terms = np.column_stack([mag / 1e4, np.ones(len(mag)), beside])
-    steady = _steady(predicted - mag)
+    steady = _steady(predicted - mag) | (_range(beside) > 0.0).any(axis=1)
     fit = np.column_stack([_robust(terms, predicted[:, axis], steady) for axis in range(3)])
-    return rows, R_BN.apply(predicted - terms @ fit, inverse=True), field
+    jumps = np.linalg.norm(_range(beside @ fit[4:]), axis=1) if beside.shape[1] == len(known) else None
+    return rows, R_BN.apply(predicted - terms @ fit, inverse=True), field, jumps
 
 
 def _ellipsoid(mag_nT: FloatArray, size_nT: FloatArray, beside: FloatArray) -> FloatArray:
@@ -133,6 +142,13 @@ def _ellipsoid(mag_nT: FloatArray, size_nT: FloatArray, beside: FloatArray) -> F
     left: FloatArray = 1e4 * (size / 2.0 - design @ form)
     slope = np.linalg.norm(slope_of_form(m, form[:-1])[:, :3], axis=1, keepdims=True) / (2.0 * size)[:, None]
     return np.asarray(left / np.maximum(_running_median(slope)[:, 0], FLAT))
+
+
+def _range(values: FloatArray) -> FloatArray:
+    """(n, d) greatest less least among the nine rows that a running median is of."""
+    from scipy.ndimage import maximum_filter1d, minimum_filter1d
+
+    return np.asarray(maximum_filter1d(values, _WINDOW, axis=0) - minimum_filter1d(values, _WINDOW, axis=0))
 
 
 def _steady(mag_nT: FloatArray) -> BoolArray:
@@ -201,7 +217,8 @@ def _scale(deviation: FloatArray, median: float, least_step_nT: float) -> FloatA
 
 
 def _driven(telemetry: Telemetry, rows: np.ndarray, beside: int) -> BoolArray:
-    """Rows up to so many beside a torquer's pulse, a switched flag or a driver's step, where a jump has a reason."""
+    """Rows up to so many beside a torquer's pulse, a switched flag or a driver's step, where a jump has a reason; for
+    records in which the fields of these cannot be fitted."""
     acts = np.zeros(len(telemetry), dtype=bool)
     if telemetry.dipole_B_Am2 is not None:
         acts |= np.nan_to_num(telemetry.dipole_B_Am2).any(axis=1)

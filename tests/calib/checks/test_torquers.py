@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 import fluxtwin
@@ -25,6 +26,18 @@ def test_a_record_with_torquers_on_is_no_trap(cubesat: Telemetry) -> None:
     assert fluxtwin.check(wrong).traps, "torquers excuse nothing else"
     bare = cubesat.replace(dipole_B_Am2=None)
     assert fluxtwin.check(bare).traps, "nor what nobody recorded"
+
+
+def test_a_wrong_reading_shows_though_torquers_are_on(cubesat: Telemetry) -> None:
+    """30 uT beside a coupling of 14 uT a torquer; switches that were recorded a row or two late are none."""
+    assert cubesat.dipole_B_Am2 is not None and cubesat.dipole_B_Am2[[600, 1100]].any(axis=1).all()
+    reading = np.array(cubesat.mag_B_nT)
+    reading[600, 1] += 30_000.0
+    reading[1100, 0] -= 40_000.0
+    (found,) = fluxtwin.check(cubesat.replace(mag_B_nT=reading)).traps
+    assert (found.code, found.rows) == ("outliers", (601, 1101))
+    for late in (1, 2):
+        assert not fluxtwin.check(cubesat.replace(dipole_B_Am2=np.roll(cubesat.dipole_B_Am2, late, axis=0))).traps
 
 
 def test_the_next_step_asks_for_what_couples(cubesat: Telemetry) -> None:

@@ -179,9 +179,10 @@ def read_elements(path: Path | str) -> TleSeries:
     sets = [Tle(lines[place], (lines[place + 1 : place + 2] or [""])[0], where=str(path)) for place in starts]
     satellites = list(dict.fromkeys(one.line1[2:7].strip() for one in sets))
     if len(satellites) > 1:
-        numbers = ", ".join(satellites[:5]) + (", ..." if len(satellites) > 5 else "")
         wanted = "element sets of one satellite"
-        raise BadInput(f"holds elements of {len(satellites)} satellites ({numbers})", where=str(path), wanted=wanted)
+        raise BadInput(
+            f"holds elements of {len(satellites)} satellites ({_listed(satellites)})", where=str(path), wanted=wanted
+        )
     return TleSeries(tuple(sorted(sets, key=lambda one: one.epoch_utc)))
 
 
@@ -191,12 +192,15 @@ def parse_tle(text: str, *, where: str = "TLE") -> Tle:
     first = sum(line.startswith("1 ") and len(line) > 60 for line in lines)
     if first > 1:
         satellites = list(dict.fromkeys(line[2:7].strip() for line in lines if line.startswith("1 ")))
-        numbers = ", ".join(satellites[:5]) + (", ..." if len(satellites) > 5 else "")
-        raise BadInput(f"holds {first} element sets (satellites {numbers})", where=where, wanted=_FORMAT)
+        raise BadInput(f"holds {first} element sets (satellites {_listed(satellites)})", where=where, wanted=_FORMAT)
     if len(lines) not in (2, 3):
         raise BadInput(f"holds {len(lines)} lines that are not blank", where=where, wanted=_FORMAT)
     name = lines[0].removeprefix("0 ").strip() if len(lines) == 3 else ""
     return Tle(line1=lines[-2], line2=lines[-1], name=name, where=where)
+
+
+def _listed(satellites: list[str]) -> str:
+    return ", ".join(satellites[:5]) + (", ..." if len(satellites) > 5 else "")
 
 
 def _check_line(number: int, line: str, where: str) -> None:

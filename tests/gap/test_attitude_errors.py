@@ -121,6 +121,7 @@ def test_the_shortening_by_a_turn_is_taken_out() -> None:
     far = np.cross(along, np.roll(along, 1, axis=1))  # beyond five sigma it is no turn
     far *= 5.1 * np.radians(1.0) * np.linalg.norm(field, axis=1)[:, None] / np.linalg.norm(far, axis=1)[:, None]
     assert np.array_equal(wide._unshortened(far, field), far)
+    assert np.allclose(wide._unshortened(300.0 * along, field), 300.0 * along)  # along the field nothing turns
     assert np.mean(shortened) < -5.0
     assert np.abs(left).max() < 0.02 * np.abs(shortened).max()
 

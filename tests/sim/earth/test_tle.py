@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.resources
+import re
 
 import numpy as np
 import pytest
@@ -189,3 +190,10 @@ def test_what_is_no_text_file_is_refused(tmp_path):
     large.write_bytes(b"x" * 1_000_001)
     with pytest.raises(BadInput, match="larger than 1000000 bytes"):
         tle.read_tle(large)
+
+
+@pytest.mark.parametrize(("count", "listed"), [(5, "10000, 10001, 10002, 10003, 10004"), (6, "10004, ...")])
+def test_of_many_satellites_five_are_listed(count: int, listed: str) -> None:
+    text = "".join(f"1 {10000 + number}{LINE1[7:]}\n{LINE2}\n" for number in range(count))
+    with pytest.raises(BadInput, match=re.escape(f"{listed})")):
+        tle.parse_tle(text)

@@ -210,6 +210,18 @@ def test_the_noise_is_found_and_a_wrong_world_is_seen(orbit: dict[str, np.ndarra
         assert consistency(run(rows, begun, NOISES._replace(**wrong), P, NOTHING))[2], wrong
 
 
+def test_a_wild_reference_attitude_is_marked_as_one(orbit: dict[str, np.ndarray]) -> None:
+    """Five degrees off in one row, where nothing else but the field is measured: of the sun nothing is said."""
+    rows, truth = world(orbit, 51)
+    seen = truth.copy()
+    seen[300] = Rotation.from_rotvec([0.0, np.radians(5.0), 0.0]).as_matrix() @ truth[300]
+    none = np.full((COUNT, 3), np.nan)
+    rows = replace(rows, nadir_B=none, sun_B=none, R_BN=seen)
+    inflated = run(rows, starts(rows, P), NOISES, P, NOTHING).inflated
+    assert np.flatnonzero(inflated[:, 1] == 1.0).tolist() == [300]
+    assert np.isnan(inflated[:, 2]).all()
+
+
 def with_rows_every(step_s: float) -> Scenario:
     segment = {"start_utc": "2026-03-01T00:00:00Z", "duration_min": 100.0, "step_s": step_s}
     return parse_scenario(SCENARIO, where="test").updated({"schedule.segments": [segment]})

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import sys
 from types import SimpleNamespace
 from typing import Any
@@ -66,6 +67,7 @@ def test_a_cluster_without_dask(monkeypatch: pytest.MonkeyPatch) -> None:
         pass
 
 
+@pytest.mark.skipif(os.name != "posix", reason="ends a process as a lack of memory does")
 def test_a_process_that_ends_before_its_part_is_done() -> None:
     with pytest.raises(BadInput, match=r"--jobs: a process ended before its part was done.*--resume"):
-        list(workers.answers(os._exit, [(1,), (1,)], jobs=2))
+        list(workers.answers(signal.raise_signal, [(signal.SIGKILL,), (signal.SIGKILL,)], jobs=2))

@@ -117,6 +117,7 @@ def _left(
     known = [np.asarray(column, dtype=np.float64)[rows] for column in columns if column is not None]
     moving = [(one - one.min()) / np.ptp(one) for one in known if np.isfinite(one).all() and np.ptp(one) > 0.0]
     beside = np.array(moving[: rows.size // _ROWS_EACH]).reshape(-1, rows.size).T
+    whole = beside.shape[1] == len(moving) and all(np.isfinite(one).all() for one in known)
     if q_NB is None:
         return rows, _ellipsoid(mag, np.linalg.norm(field, axis=1), beside)[:, None], None, None
     R_BN = frames.rotation_from_q(q_NB[rows])
@@ -124,7 +125,7 @@ def _left(
     terms = np.column_stack([mag / 1e4, np.ones(len(mag)), beside])
     steady = _steady(predicted - mag) | (_range(beside) > 0.0).any(axis=1)
     fit = np.column_stack([_robust(terms, predicted[:, axis], steady) for axis in range(3)])
-    jumps = np.linalg.norm(_range(beside @ fit[4:]), axis=1) if beside.shape[1] == len(known) else None
+    jumps = np.linalg.norm(_range(beside @ fit[4:]), axis=1) if whole else None
     return rows, R_BN.apply(predicted - terms @ fit, inverse=True), field, jumps
 
 

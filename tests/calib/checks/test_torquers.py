@@ -36,6 +36,13 @@ def test_a_wrong_reading_shows_though_torquers_are_on(cubesat: Telemetry) -> Non
     reading[1100, 0] -= 40_000.0
     (found,) = fluxtwin.check(cubesat.replace(mag_B_nT=reading)).traps
     assert (found.code, found.rows) == ("outliers", (601, 1101))
+    truth = fluxtwin.simulate("cubesat")[1]
+    one = cubesat.dipole_B_Am2 * [1.0, 0.0, 0.0]  # and two that never fire
+    without = truth.T_nT_per_Am2 @ (cubesat.dipole_B_Am2 - one).T
+    alone = cubesat.mag_B_nT + np.linalg.solve(np.eye(3) + truth.S, without).T
+    alone[600] += 30_000.0
+    (found,) = fluxtwin.check(cubesat.replace(mag_B_nT=alone, dipole_B_Am2=one)).traps
+    assert (found.code, found.rows) == ("outliers", (601,))
     for late in (1, 2):
         assert not fluxtwin.check(cubesat.replace(dipole_B_Am2=np.roll(cubesat.dipole_B_Am2, late, axis=0))).traps
 

@@ -11,6 +11,7 @@ from scipy import stats
 
 from fluxtwin.gap.detectors.lines import line_columns, strongest_line
 from fluxtwin.gap.detectors.residual_structure import drift, likeliest_step
+from fluxtwin.gap.detectors.waveforms import fitted
 from fluxtwin.gap.linear.projection import (
     ProjectedResidual,
     log10_sf_f,
@@ -60,6 +61,19 @@ def test_coefficients_make_what_has_those_coordinates_in_the_basis() -> None:
     basis = span.basis(columns)
     assert basis.T @ basis == pytest.approx(np.eye(3), abs=1e-12)
     assert columns @ span.coefficients(along, 5) == pytest.approx(basis @ along, rel=1e-9)
+
+
+def test_what_is_fitted_to_a_residual_has_the_covariance_of_least_squares() -> None:
+    """s^2 (X' X)^-1 of all columns together, s^2 from 30 - 4 degrees of freedom; one less with a parameter searched for."""
+    rng = np.random.default_rng(5)
+    series, columns = rng.standard_normal((10, 3)), rng.standard_normal((10, 3, 4))
+    X, y = columns.reshape(30, 4), series.reshape(30)
+    size, rss, *_ = np.linalg.lstsq(X, y, rcond=None)
+    left = make_left(series, columns[:, :, :2])
+    for further in (0, 1):
+        found = fitted(left, columns[:, :, 2:], further)
+        wanted = rss[0] / (26 - further) * np.linalg.inv(X.T @ X)[2:, 2:]
+        assert found.size == pytest.approx(size[2:]) and found.covariance == pytest.approx(wanted)
 
 
 def test_columns_that_repeat_each_other_take_their_rank_of_the_degrees_of_freedom() -> None:

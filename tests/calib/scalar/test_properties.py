@@ -15,6 +15,7 @@ from fluxtwin.calib.common.apply import apply_calibration
 from fluxtwin.calib.common.records import Calibration
 from fluxtwin.calib.methods import calibrate_by, default_method
 from fluxtwin.calib.scalar.calibrate import ScalarOptions, calibrate_scalar, fit_rows
+from fluxtwin.calib.scalar.covariance import Scores, white_covariance
 from fluxtwin.calib.scalar.maximum_likelihood import add_up
 from fluxtwin.calib.scalar.model import ScalarData, own_noise, residual, terms
 from fluxtwin.calib.scalar.rows import ScalarRows, predict_scalar
@@ -196,3 +197,10 @@ def test_a_field_that_follows_a_column_survives_saving(record: Telemetry, model:
     path.write_text("\n".join(lines).replace("nT_per_unit", "nT"), encoding="utf-8")
     with pytest.raises(BadInput, match=r"telemetry_bias\.array_current_A"):
         Calibration.from_toml(path)
+
+
+def test_the_white_variance_of_a_lone_mean_is_the_textbooks() -> None:
+    """s^2 / n with n - 1 degrees of freedom."""
+    e = np.random.default_rng(6).standard_normal((7, 1))
+    scores = Scores(e - e.mean(), np.array([[7.0]]), np.ones((7, 1)), np.ones((7, 1)))
+    assert white_covariance(scores) == pytest.approx(np.var(e, ddof=1) / 7.0)

@@ -122,6 +122,7 @@ def test_a_body_rate_tells_a_clock_from_an_orbit(flown: dict[str, tuple[Design, 
     still = [pair for words, pair in flown.items() if not words.startswith("tumble")]
     courses = choose(question, still).courses
     assert len(best.curve) > 3 and (best.hours, best.power) in best.curve
+    assert best.hours * 180.0 == pytest.approx(round(best.hours * 180.0))  # a row every 20 s
     assert max((course.power for course in courses), default=0.0) < 0.6
 
 

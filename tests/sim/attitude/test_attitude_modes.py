@@ -13,7 +13,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from fluxtwin.sim.attitude import record as attitude
-from fluxtwin.sim.attitude.libration import draw_libration
+from fluxtwin.sim.attitude.libration import Libration, draw_libration
 from fluxtwin.sim.attitude.record import Attitude, Waypoint
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.random_streams import stream
@@ -152,6 +152,14 @@ def test_the_angles_are_the_papers_3_1_2_set(close) -> None:
     turned = attitude.librating(time, r, v, libration).R_BN * frames.rotation_ON(r, v).inv()
     angles = np.stack(frames.yaw_roll_pitch(turned), axis=1)
     close(angles, libration.angles(time), atol=1e-13, unit="rad", because="round trip")
+
+
+def test_the_phase_of_a_line_is_that_at_the_beginning_of_2000() -> None:
+    """A roll of 0.1 rad with a period of 400 s: at its phase of 30 deg, and 100 s later at 120 deg."""
+    one, none = np.array([[0.0], [0.1], [0.0]]), np.zeros((3, 1))
+    libration = Libration(one, none + 2.0 * np.pi / 400.0, none + np.pi / 6.0, np.zeros(3))
+    angles = libration.angles(np.array(["2000-01-01T00:00:00", "2000-01-01T00:01:40"], dtype="datetime64[ns]"))
+    assert angles == pytest.approx(np.array([[0.0, 0.05, 0.0], [0.0, 0.1 * np.sqrt(0.75), 0.0]]))
 
 
 def test_libration_has_the_stated_rms_and_band(close) -> None:

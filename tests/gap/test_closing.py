@@ -384,3 +384,14 @@ def test_the_closed_share_is_of_the_power_above_the_floors() -> None:
     closed, between = closed_share(50.0, 30.0, 10.0, 20.0, before, after)
     assert (closed, *between) == pytest.approx((1.0 - 500.0 / 2400.0, 1.0 - 950.0 / 2400.0, 1.0 - 50.0 / 2400.0))
     assert closed_share(50.0, 15.0, 10.0, 20.0, before, np.full(101, 225.0)) == (1.0, (1.0, 1.0))
+
+
+def test_draws_of_held_out_samples_scatter_about_what_was_held_out() -> None:
+    """A bootstrap is unbiased: 100 and 25 nT^2 a component, with a scatter over the draws of some percent."""
+    rng = np.random.default_rng(9)
+    after = 5.0 * rng.standard_normal((900, 3))
+    before = 2.0 * after
+    one = Prediction(before, after, np.ones(900, dtype=bool), 5.0, 5.0)
+    before2, after2 = one._draws(after)
+    assert before2.mean() == pytest.approx(np.mean(before**2), rel=0.02)
+    assert after2.mean() == pytest.approx(np.mean(after**2), rel=0.02)

@@ -274,6 +274,8 @@ def test_a_wave_comes_with_its_quarter_and_a_column_with_the_rest() -> None:
     grammar: Any = SimpleNamespace(recorded=["a"], switches=[], values=lambda law: 1.0)
     found = {one.of for one in Grammar.with_lower(grammar, effect.Law(of=("a", "cos orbit")))}
     assert {("a", "cos orbit"), ("a", "sin orbit"), ("cos orbit",)} <= found
+    found = {one.of for one in Grammar.with_lower(grammar, effect.Law(of=("cos orbit", "a")))}
+    assert found == {("cos orbit", "a"), ("sin orbit", "a"), ("cos orbit",)}
 
 
 def test_a_law_without_a_recorded_column_says_that_it_describes() -> None:

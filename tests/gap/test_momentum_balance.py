@@ -204,6 +204,14 @@ def test_the_columns_of_a_cause_are_its_image() -> None:
     channel: Any = SimpleNamespace(causes=causes)
     wanted: Any = "b"
     assert np.array_equal(MomentumChannel.columns(channel, wanted), images[1])
+    as_it_is = SimpleNamespace(left=lambda turned: turned)
+    channel.balance, channel.below, channel.columns = (
+        SimpleNamespace(by_attitude=as_it_is),
+        as_it_is.left,
+        lambda _: images[1],
+    )
+    signal = MomentumChannel.signal(channel, wanted, np.array([2.0, -1.0]))
+    assert np.array_equal(signal, 2.0 * images[1][:, :, 0] - images[1][:, :, 1])
 
 
 def test_a_steady_torque_is_pushed_along_the_axes_of_its_frame() -> None:

@@ -71,6 +71,11 @@ def test_power_of_two_lone_columns_is_that_of_the_bivariate_normal(
     # Four sigma of a share among 100,000 draws are 0.005 at 0.81; penalties, alike for both, move it by less than 0.002.
     assert abs(found - wanted) < 0.007
     assert abs(probability_of("b", ["a"], scored, signal)) < 0.05
+    dead = SimpleNamespace(name="c", live=np.ones(1, dtype=bool), label="c")  # of no rank: it counts for nothing
+    white = np.concatenate([white, np.zeros((40, 3, 1))], axis=2)
+    more = board([*one, dead], white, np.zeros((40, 3)), np.zeros((40, 3, 0)), 120)  # type: ignore[list-item]
+    signal[0] = 4.0
+    assert probability_of("a", ["b"], more, signal) == probability_of("a", ["b"], scored, signal)
 
 
 def test_designs_keep_the_limits(base: Scenario) -> None:

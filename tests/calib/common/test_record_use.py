@@ -85,6 +85,11 @@ def test_bias_alone(days: Any) -> None:
     fit = calibrate_linear(records, model, parameters="b", robust="none")
     assert [name for name, sigma in fit.sigma.items() if sigma is not None] == ["b1", "b2", "b3"]
     assert not fit.calibration.S.any()
+    off = [
+        frames.rotation_from_q(one.q_NB).apply(field_N_nT(model, one.time, one.r_N_km)) - one.mag_B_nT
+        for one in records
+    ]
+    assert fit.calibration.b_nT == pytest.approx(np.concatenate(off).mean(axis=0), rel=1e-9)
     assert np.abs(fit.residuals_nT.mean(axis=0)).max() < 1e-8
     robust = calibrate_linear(records, model, parameters="b", robust="tukey", covariance="blocks")
     assert np.abs(robust.calibration.b_nT - fit.calibration.b_nT).max() < 100.0

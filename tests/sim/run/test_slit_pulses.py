@@ -77,3 +77,9 @@ def test_the_noise_of_a_slit_moves_the_pulse_and_the_elevation_by_as_much() -> N
     late, raised = (noisy - still for noisy, still in zip(found[1e-3], found[0.0], strict=True))
     across, along = late * 0.5 * np.cos(0.4), raised[:, 2] / np.cos(0.4)
     assert len(late) > 1900 and np.std([across, along]) == pytest.approx(1e-3, rel=4.0 / np.sqrt(8000.0) * 0.99)
+
+
+def test_a_slit_lies_at_its_azimuth() -> None:
+    """30 deg from +x to +y; at an elevation of 60 deg half of the unit vector lies in the xy plane."""
+    seen = SlitSunSensor(azimuth_deg=30.0).direction(np.array([np.pi / 3.0]))
+    assert seen == pytest.approx(np.array([[0.5 * np.sqrt(0.75), 0.25, np.sqrt(0.75)]]))

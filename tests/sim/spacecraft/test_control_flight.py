@@ -69,6 +69,18 @@ def test_every_law_and_torque_is_flown() -> None:
     assert {torque.name for torque in TORQUES} == {torque.name for torque in ALL_TORQUES}
 
 
+def test_what_a_compass_reads_is_corrected_to_the_field_by_equation_1() -> None:
+    """(I + S) reading + b = B."""
+    S, b_nT, B_nT = (
+        np.array([[0.02, -0.01, 0.0], [0.01, -0.03, 0.005], [0.0, 0.01, 0.01]]),
+        [7e3, -3e3, -6e3],
+        [2e4, 1e4, -3e4],
+    )
+    row = np.array(Compass(S, np.array(b_nT)).row)
+    reading_nT = row[:9].reshape(3, 3) @ B_nT + 1e9 * row[9:]
+    assert (np.eye(3) + S) @ reading_nT + b_nT == pytest.approx(np.array(B_nT))
+
+
 @pytest.mark.parametrize("name", LAWS)
 def test_the_kernel_flies_as_the_reference_does(name: str, close) -> None:
     J = TURN.as_matrix()[0] @ np.diag([100.0, 120.0, 80.0]) @ TURN.as_matrix()[0].T

@@ -161,3 +161,10 @@ def test_a_probability_is_never_above_one() -> None:
 
 def test_the_prior_of_a_further_cause_is_one_in_twenty() -> None:
     assert pytest.approx(2.0 * np.log(20.0), abs=0.01) == LOG_FURTHER
+
+
+def test_held_out_samples_multiply_the_odds() -> None:
+    """Odds of one, times three; what is as good as certain has the odds against a further cause before them, no more."""
+    assert still_known(0.5, np.log(3.0)) == pytest.approx(0.75)
+    odds = 3.0 * np.exp(0.5 * LOG_FURTHER)
+    assert still_known(1.0 - 1e-12, np.log(3.0)) == pytest.approx(odds / (1.0 + odds))

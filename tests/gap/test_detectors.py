@@ -55,6 +55,23 @@ SIGMA_NT = 100.0
 
 
 @dataclass(frozen=True)
+class Named:
+    name: str
+    group: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Names:
+    named: tuple[Named, ...]
+
+
+@dataclass(frozen=True)
+class Explained:
+    worth: float
+    result: Names
+
+
+@dataclass(frozen=True)
 class Bench:
     """A record without noise, with white noise of 100 nT to be added."""
 
@@ -297,6 +314,16 @@ def test_a_walk_is_white_after_its_own_whitening(bench: Bench, close: Callable[.
     assert left.energy / left.degrees > 1.0 + 4 * np.sqrt(2 / left.degrees)
     assert drift(white)[0] > -3.0 > drift(left)[0]
     assert likeliest_rate(bench.whitener, noise, bench.calibration) is None
+
+
+@pytest.mark.parametrize(("whole", "joins"), [(19.0, True), (10.0, False)])
+def test_a_walk_of_nearly_the_worth_of_a_name_stands_beside_it(whole: float, joins: bool) -> None:
+    """Worth 19 and 10 where the name alone is worth 20: shares of 0.38 and 0.007, where a rival has at least 0.05."""
+    step = Named("bias_step", ("bias_step",))
+    answer = Explained(20.0, Names((step,)))
+    found: Any = structured._with_rival(answer, Explained(0.0, Names(())), "bias_random_walk", whole)  # type: ignore[arg-type]
+    assert (found is not None) is joins
+    assert not joins or found.result.named[0].group == ("bias_step", "bias_random_walk")
 
 
 @pytest.mark.parametrize(("most", "polished"), [(1, False), (2, True)])

@@ -20,7 +20,7 @@ from worlds import scenario_text
 from fluxtwin import diagnosing, diagnosis_page
 from fluxtwin.gap.channels import momentum_noise
 from fluxtwin.gap.channels.momentum import MomentumChannel
-from fluxtwin.gap.channels.momentum_arcs import Arcs, Craft, _filled, arcs, windows
+from fluxtwin.gap.channels.momentum_arcs import Arcs, Craft, Windows, _filled, arcs, windows
 from fluxtwin.gap.channels.momentum_images import plain_torques
 from fluxtwin.gap.posterior.torques import Momentum, balanced
 from fluxtwin.gap.problem.problem import Budget, Problem, pose
@@ -229,6 +229,15 @@ def test_a_steady_torque_is_pushed_along_the_axes_of_its_frame() -> None:
     found = plain_torques(windows)
     for frame, R in (("body", R_BN), ("orbital", R_ON)):  # its x axis, in N
         assert np.allclose(found[None, frame][1][:, 0], 30.0 * R[1].inv().apply([1.0, 0.0, 0.0]))
+
+
+def test_slow_torques_push_for_as_long_as_an_arc_lasts() -> None:
+    """One that stands, one from -1 to 1 and its square, over arcs of 10, 20 and 30 s."""
+    arcs = SimpleNamespace(seconds=np.array([10.0, 20.0, 30.0]), pushed=lambda arc, impulse: impulse)
+    windows: Any = SimpleNamespace(arcs=arcs)
+    found = Windows._slow_torques(windows, slice(None))
+    for part, course in enumerate(([10.0, 20.0, 30.0], [-10.0, 0.0, 30.0], [10.0, 0.0, 30.0])):
+        assert found[:, :, 3 * part : 3 * part + 3] == pytest.approx(np.eye(3) * np.array(course)[:, None, None])
 
 
 def test_a_perfect_record_balances(close) -> None:

@@ -7,12 +7,15 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 from scipy import stats
 
 from fluxtwin.gap.diagnose import _floor_log_sd
+from fluxtwin.gap.noise import choice
 from fluxtwin.gap.noise.budget import (
     DECLARED,
     FROM_DIFFERENCES,
@@ -585,3 +588,13 @@ def test_the_search_reaches_a_ratio_far_from_its_start() -> None:
     noise = chosen(w, NoisePrior(20.0, 0.1, 1.745e-3))
     assert noise.sigma_nT == pytest.approx(20.0, rel=0.03)  # 3 sigma: 1 / sqrt(2 * 4000) on the one component along B
     assert noise.theta_rad == pytest.approx(1.745e-3, rel=0.03)
+
+
+@pytest.mark.parametrize(("third", "uneven"), [(1.6, False), (3.0, True)])
+def test_axes_of_few_rows_are_uneven_beyond_chance_alone(third: float, uneven: bool) -> None:
+    """30 differences know the ratio of two sizes to 22 %; four of those are allowed."""
+    white = np.random.default_rng(2).standard_normal((31, 3))
+    white /= np.sqrt(np.mean(np.diff(white, axis=0) ** 2, axis=0))
+    whitener: Any = SimpleNamespace(apply_in_row_axes=lambda left: left, weights=np.ones((31, 3)))
+    found = choice._axis_factor(whitener, white * [1.0, 1.0, third], (1.0, 1.0, 1.0), np.ones(31, dtype=bool))
+    assert found == (pytest.approx(np.array([1.0, 1.0, third]) / third ** (1.0 / 3.0)) if uneven else (1.0, 1.0, 1.0))

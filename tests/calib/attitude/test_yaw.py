@@ -176,3 +176,12 @@ def test_roll_and_pitch_from_the_measured_nadir_where_attitude_is_missing(flight
     assert missing.left_out == {"no roll and pitch": 100}
     with pytest.raises(NoAnswer, match="roll and pitch"):
         yaw_of.yaw_from_field(record.replace(q_NB=None), calibration, model)
+
+
+def test_the_sigma_of_yaw_is_that_of_its_derivatives() -> None:
+    """To first order: of the two horizontal components, and of roll and pitch, each by a small difference."""
+    field, none, step = np.array([[2e4, 5e3, 3e4]]), np.zeros(1), 1e-6
+    moved = [yaw_of.yaw_full(field + 3e4 * step * axis, field, none, none) / (3e4 * step) for axis in np.eye(3)]
+    turned = [yaw_of.yaw_full(field, field, a, b) / step for a, b in ((none + step, none), (none, none + step))]
+    sigma = np.sqrt(sum((20.0 * one) ** 2 for one in moved) + sum((0.002 * one) ** 2 for one in turned))
+    assert yaw_of.yaw_sigma(field, 20.0, 0.002) == pytest.approx(sigma, rel=1e-4)

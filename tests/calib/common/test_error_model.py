@@ -100,6 +100,8 @@ def test_the_attitude_error_is_found_and_can_be_declared() -> None:
     assert errors.attitude_source == "found in the data"
     assert errors.attitude_sigma_deg == pytest.approx(0.2, rel=0.27)
     assert errors.attitude_tau_s == pytest.approx(400.0, rel=0.6)
+    assert errors.attitude_range_deg is not None
+    assert errors.attitude_range_deg[0] < errors.attitude_sigma_deg < errors.attitude_range_deg[1] < 0.4
     declared = fit_design(
         design, LinearOptions(attitude_sigma_deg=0.2, attitude_tau_s=400.0, robust="none")
     ).error_model

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,6 +15,7 @@ from worlds import scenario_text
 import fluxtwin
 from fluxtwin.calib.common.fit import Fit
 from fluxtwin.calib.common.records import seconds_of
+from fluxtwin.calib.gyro import calibrate
 from fluxtwin.calib.gyro.motion import cut, degree_for, follow
 from fluxtwin.calib.gyro.solve import BASIS_S, fields_without_errors
 from fluxtwin.sim.base.errors import BadInput, NoAnswer
@@ -154,6 +157,20 @@ def test_what_the_motion_does_not_show_is_refused() -> None:
     degrees_s = 180.0 / np.pi * np.median(np.linalg.norm(np.asarray(few.rate_B_rad_s), axis=1))
     with pytest.raises(NoAnswer, match=f"fewer than 3 stretches[^(]* by {degrees_s:.3g} deg/s .* more than 57 deg"):
         fluxtwin.calibrate(few, method="gyro")
+
+
+@pytest.mark.parametrize("count", [2, 3])
+def test_three_stretches_are_enough(monkeypatch: pytest.MonkeyPatch, count: int) -> None:
+    used = flown(1, rows=20)
+    options: Any = SimpleNamespace(stretch_s=100.0)
+    monkeypatch.setattr(calibrate, "cut", lambda *_: [np.arange(5)] * count)
+    monkeypatch.setattr(calibrate, "_robust", lambda *_: ("solved", "weights"))
+    monkeypatch.setattr(calibrate, "_require_no_false_turns", lambda *_: None)
+    if count < 3:
+        with pytest.raises(NoAnswer, match="fewer than 3 stretches"):
+            calibrate._best(used, np.ones((20, 3)), np.zeros((20, 0)), options)
+    else:
+        assert calibrate._best(used, np.ones((20, 3)), np.zeros((20, 0)), options) == ("solved", "weights", 100.0)
 
 
 def test_a_stretch_has_three_rows_more_than_its_polynomial_has_degrees() -> None:

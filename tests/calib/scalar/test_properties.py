@@ -12,6 +12,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from fluxtwin.calib.common.apply import apply_calibration
+from fluxtwin.calib.common.covariance import cell_starts
 from fluxtwin.calib.common.records import Calibration
 from fluxtwin.calib.methods import calibrate_by, default_method
 from fluxtwin.calib.scalar.calibrate import ScalarOptions, calibrate_scalar, fit_rows
@@ -204,3 +205,8 @@ def test_the_white_variance_of_a_lone_mean_is_the_textbooks() -> None:
     e = np.random.default_rng(6).standard_normal((7, 1))
     scores = Scores(e - e.mean(), np.array([[7.0]]), np.ones((7, 1)), np.ones((7, 1)))
     assert white_covariance(scores) == pytest.approx(np.var(e, ddof=1) / 7.0)
+
+
+def test_a_cell_begins_when_the_one_before_is_full() -> None:
+    seconds, label = np.array([0.0, 4.0, 9.5, 10.0, 19.9, 30.0]), np.array([0, 0, 0, 0, 0, 1])
+    assert cell_starts(seconds, label, 10.0).tolist() == [0, 3, 5]

@@ -114,6 +114,9 @@ def test_a_factor_of_the_time_switches_at_that_row_and_survives_a_scenario(recor
     np.testing.assert_array_equal(field_nT(chain, law), whole * ((rows >= 10) & (rows < 30))[:, None])
     text = parse_scenario(scenario_text("")).updated({"effects.law.relay": effect_section(law, K)}).to_toml()
     assert active_effects(parse_scenario(text))[0][0] == law
+    between = f"{np.datetime_as_string(record.time[10] + np.timedelta64(500, 'ms'), unit='ms')}Z"
+    later = field_nT(chain, Law("relay", ("driver_heat", f"since {between}")))
+    np.testing.assert_array_equal(later, whole * (rows > 10)[:, None])
     with pytest.raises(BadInput, match="factor 'since noon'"):
         Law(of=("since noon",)).quantities()
 

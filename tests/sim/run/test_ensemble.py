@@ -198,6 +198,8 @@ def test_the_envelope_is_that_of_all_vehicles(
     thinned = summary.envelope(make_plan(scenario, VEHICLES, in_chunk=IN_CHUNK), straight)
     assert thinned is not None and len(thinned.time) == 4
     assert thinned.max_deg[[0, -1]].tolist() == whole[:, [0, -1]].max(axis=0).tolist()
+    with xr.open_dataset(straight / "chunk-00000.nc", engine="h5netcdf") as opened:
+        assert thinned.time[[0, -1]].tolist() == opened["time"].to_numpy()[[0, -1]].tolist()
 
 
 class Interrupter:

@@ -50,6 +50,13 @@ def test_a_saved_scenario_makes_the_pulses(close) -> None:
     close(off, 0.0, atol=6.0, unit="deg", because="nutation of 2 deg moves the azimuth within a step, noise 0.18 deg")
 
 
+def test_a_fast_spinner_has_a_pulse_a_turn() -> None:
+    """At 120 rpm 12 s are 24 turns, so 23 to 25 pulses."""
+    twelve_s = {"schedule.segments": [{"start_utc": "2006-04-15T00:00:00Z", "samples": 96, "step_s": 0.125}]}
+    telemetry, _ = simulate(mission.scenario().updated(twelve_s | {"attitude.spin_rate_rpm": 120.0}))
+    assert 23 <= (~telemetry.has_reading).sum() <= 25
+
+
 def test_a_slit_wants_a_spinner() -> None:
     with pytest.raises(BadInput, match=r"\[slit_sun_sensor\] needs a free spin"):
         mission.scenario().updated({"attitude": {"mode": "earth_pointing"}})

@@ -262,7 +262,7 @@ def test_a_broken_message_is_named(tmp_path: Path, text: str, said: str) -> None
         aem.read(tmp_path / "a.aem")
 
 
-def test_cdf_as_missions_write_it(tmp_path: Path) -> None:
+def test_cdf_as_missions_write_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Written by cdflib: CDF_EPOCH, a vector with a fill value, a scalar; read through a map."""
     cdflib = pytest.importorskip("cdflib")
     from cdflib.cdfwrite import CDF
@@ -280,7 +280,11 @@ def test_cdf_as_missions_write_it(tmp_path: Path) -> None:
     put("B_VFM", 44, [3], vector, UNITS="nT", FILLVAL=np.float32(-1e31))
     put("Latitude", 45, [], np.array([10.0, 11.0, 12.0]), UNITS="deg")
     made.close()
+    claimed: list[int] = []
+    monkeypatch.setattr(cdf, "require_expansion", lambda size, *_: claimed.append(size))
     table = cdf.read(tmp_path / "s.cdf")
+    assert claimed == [24, 24 + 72, 24 + 72 + 24]  # eight bytes for each of three numbers, nine and three
+    monkeypatch.undo()
     assert [str(t)[:23] for t in table.times()] == stamps
     assert np.isnan(table.numbers("B_VFM")[1, 0]) and table.units["B_VFM"] == "nT"
     (tmp_path / "m.toml").write_text(

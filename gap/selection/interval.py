@@ -5,18 +5,17 @@ from __future__ import annotations
 import numpy as np
 from scipy.stats import chi2
 
-from fluxtwin.calib.common.criterion import FALSE_ALARM
+from fluxtwin.calib.common.criterion import FALSE_ALARM, THRESHOLD, worth
 from fluxtwin.gap.hypotheses.blocks import in_body
 from fluxtwin.gap.linear.projection import Whitens, orthonormal
 from fluxtwin.gap.problem.problem import Problem
+from fluxtwin.gap.selection.criterion import SHAPE
 from fluxtwin.sim.base.types import FloatArray, TimeArray
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.effects.switched_field import SwitchedField
 
 _EDGES = 64
 _LEAST_SHARE = 0.05  # of the record, inside and on either side: shorter ones are spikes, or a step
-_SURER = 14.0  # of chi-square, beyond the best single step on the same edges: a fourth of a second edge's price, twice
-_MORE = 0.05  # of the step's own
 
 
 def likeliest_interval(
@@ -24,8 +23,8 @@ def likeliest_interval(
 ) -> SwitchedField | None:
     """The interval in which a constant field explains most of a whitened residual (M, 3), beside the nuisance (M, 3, c).
 
-    None where one step does about as well. Each pair of edges is a difference of two steps, so all pairs follow from one
-    Gram matrix of the steps.
+    None where one step does as well, within noise and its shape error. Each pair of edges is a difference of two steps, so
+    all pairs follow from one Gram matrix of the steps.
     """
     rows = problem.rows
     if rows < 4 * _EDGES:
@@ -46,7 +45,8 @@ def likeliest_interval(
     both = own[first] + own[last] - mixed - np.transpose(mixed, (0, 2, 1))
     double = _explained(both, moment[first] - moment[last])
     best = int(np.argmax(double))
-    if double[best] < single.max() * (1.0 + _MORE) + _SURER:
+    further = (double[best] - single.max()) / (1.0 + SHAPE * single.max())
+    if worth(further, 1, rows, float(np.log(at.size))) < THRESHOLD:
         return None
     begin, end = (epoch.iso(problem.time[at[edge[best]]], "ms") for edge in (first, last))
     return SwitchedField("interval", begin, end)

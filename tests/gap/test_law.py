@@ -278,6 +278,14 @@ def test_a_wave_comes_with_its_quarter_and_a_column_with_the_rest() -> None:
     assert found == {("cos orbit", "a"), ("sin orbit", "a"), ("cos orbit",)}
 
 
+def test_a_time_is_moved_by_as_many_rows_to_either_side() -> None:
+    time = np.datetime64("2020-03-01T00:00:00", "ns") + np.arange(100) * np.timedelta64(1, "s")
+    grammar = SimpleNamespace(setting=SimpleNamespace(time=time))
+    grammar._timed = lambda sense, row: Grammar._timed(grammar, sense, row)
+    found = Grammar.retimed(grammar, effect.Law(of=("a", "since 2020-03-01T00:00:50Z")), 8)  # type: ignore[arg-type]
+    assert [one.of[1][-3:-1] for one in found] == ["42", "58"]
+
+
 def test_a_law_without_a_recorded_column_says_that_it_describes() -> None:
     term = LawTerm(
         "by_height", ("sun_height",), "earth", 0.0, 0.0, "nT", {"x": (40.0, 1.0), "y": (0.5, 1.0), "z": (0.2, 1.0)}

@@ -19,6 +19,7 @@ from sgp4.io import fix_checksum
 
 from fluxtwin.calib.checks.check import check_file, check_telemetry
 from fluxtwin.calib.checks.clock import _further, shifts_s
+from fluxtwin.calib.checks.orientation import _mountings
 from fluxtwin.calib.checks.report import CheckReport
 from fluxtwin.calib.checks.sample import Origin, comparable
 from fluxtwin.sim.base.random_streams import stream
@@ -254,3 +255,8 @@ def test_an_earth_turned_further_is_turned_about_its_pole() -> None:
     turned, angle_rad = Rotation.random(20, random_state=4), np.linspace(-3.0, 3.0, 20)
     wanted = Rotation.from_rotvec(np.outer(angle_rad, [0.0, 0.0, 1.0])) * turned
     assert (_further(turned, angle_rad) * wanted.inv()).magnitude().max() < 1e-14
+
+
+def test_a_magnetometer_may_be_turned_by_half_a_quarter() -> None:
+    eighth = Rotation.from_euler("x", 45.0, degrees=True).as_matrix()
+    assert any(np.allclose(one.matrix, eighth) for one in _mountings())

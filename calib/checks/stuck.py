@@ -90,11 +90,10 @@ def _stuck(values: FloatArray, time: TimeArray) -> BoolArray:
     """Rows (N,) in runs of one reading (N, k) that are long enough that it must have changed, each with its first row."""
     same = np.zeros(len(values), dtype=bool)
     same[1:] = (values[1:] == values[:-1]).all(axis=1)
-    found = sorted(runs(same, time), key=len, reverse=True)[:_LONGEST_RUNS]
-    lengths = np.array([len(run) for run in found] + [1] * (len(found) < _LONGEST_RUNS), dtype=float)
-    out = np.zeros(len(values), dtype=bool)
+    found = sorted(runs(same, time), key=len, reverse=True)
+    lengths = np.array([*map(len, found), 1], dtype=float)
+    found, out = found[:_LONGEST_RUNS], np.zeros(len(values), dtype=bool)
     lasting = [k for k, run in enumerate(found) if run.size >= STUCK_ROWS and length_s(time, run) >= STUCK_S]
-    lasting = [k for k in lasting if k + 1 < lengths.size]
     if not lasting:
         return out
     gap = max(

@@ -154,6 +154,21 @@ def test_of_noise_and_attitude_the_one_that_adds_more_is_named(found_nT: float, 
     assert excess is not None and excess.stage == stage
 
 
+def test_noise_is_beyond_the_budget_where_its_prior_is_left_by_two_sigma_and_the_rms_by_three(close: Any) -> None:
+    """Two standard deviations of the prior of a declared noise, 10 %, and three of what is in any record, 5 %."""
+    rows, budget = np.ones((50, 3), dtype=bool), Budget(40.0, 0.0, 0.0, 0.0)
+    posed: Any = SimpleNamespace(budget=budget, noise_field_nT=3e4 * rows, measured=rows, in_row_axes=lambda nT: nT)
+    noise, cut = NoiseModel(40.0, 0.0, 0.0, sigma_prior_nT=40.0), SimpleNamespace(cut=~rows)
+
+    def beyond(rms_nT: float) -> bool:
+        answer: Any = SimpleNamespace(noise=noise, robust=cut, result=SimpleNamespace(residual_nT=rms_nT * rows))
+        return beyond_budget(posed, answer) is not None
+
+    least_nT = next(nT for nT in np.arange(40.0, 400.0, 0.25) if beyond(nT))
+    wanted_nT = 40.0 * np.exp(2.0 * 0.1 + 3.0 * 0.05)
+    close(least_nT, wanted_nT, atol=0.26, unit="nT", because="the steps in which it is sought")
+
+
 def test_an_attitude_one_and_a_half_times_worse_is_within_what_is_trusted() -> None:
     found = diagnose(flown_sharp(TUMBLE, 0.15, 0.0, 600, 30.0, 14), load_field("igrf14"), budget=SHARP)
     assert found.verdict == "no_gap", found.sentence

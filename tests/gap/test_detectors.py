@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from worlds import scenario_text
 
-from fluxtwin.gap.detectors import switched_region, two_state
+from fluxtwin.gap.detectors import full_rate, switched_region, two_state
 from fluxtwin.gap.detectors.codes import coarse_steps, flipped_bits, stuck_bit
 from fluxtwin.gap.detectors.finding import Finding
 from fluxtwin.gap.detectors.lines import companion, strongest_line, wheel_line
@@ -423,3 +423,14 @@ def test_a_waveform_is_taken_out_where_a_later_one_leaves_nothing_for_it(
     assert Structured(nothing, nothing, nothing).among(answer()).shapes == (
         ("line", "sequence") if needed else ("sequence",)
     )
+
+
+def test_the_stretch_at_the_full_rate_is_the_middle_of_the_record(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two rows more than it may have: one is left on each side; of three the odd one is at the end."""
+    monkeypatch.setattr(full_rate, "MOST_ROWS", 60)
+    for rows in (62, 63):
+        whole = bench.problem.telemetry.select(slice(0, rows))
+        near = full_rate._stretch(whole, bench.problem, [(bench.problem.modelled[0], np.zeros(3))], [])
+        assert np.array_equal(near.time, whole.time[1:61])

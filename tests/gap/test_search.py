@@ -24,6 +24,7 @@ from fluxtwin.gap.noise.whitening import NoiseModel, Whitener, make_whitener
 from fluxtwin.gap.posterior.explanations import answered_with
 from fluxtwin.gap.problem.problem import Problem, pose
 from fluxtwin.gap.problem.row_axes import turn_images
+from fluxtwin.gap.selection import forward
 from fluxtwin.gap.selection.criterion import GATE, penalty, stands_out
 from fluxtwin.gap.selection.detectable import noncentrality, smallest, visible_part
 from fluxtwin.gap.selection.forward import Search, begin
@@ -332,6 +333,26 @@ def test_smallest_detectable_size_is_found_nine_times_in_ten() -> None:
 def test_noncentrality_is_that_of_a_normal_for_one_direction(close) -> None:
     """One degree of freedom, one test at 0.2 %: (3.0902 + 1.2816)**2, from the normal distribution's quantiles."""
     close(noncentrality(1, 1, 1e3), (3.0902323 + 1.2815516) ** 2, atol=2e-3, unit="1", because="a table of a thousand")
+
+
+def test_the_search_ends_with_three_effects(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where one more were always worth it, and nothing needless afterwards."""
+
+    def fit(size: int) -> Any:
+        return SimpleNamespace(chosen=(None,) * size)
+
+    begun: Any = SimpleNamespace(base=fit(0), first=SimpleNamespace(p_values=np.zeros(1)), tested=1)
+    begun.channel = SimpleNamespace(proposed=lambda base: [SimpleNamespace(name="none")])
+    begun.found = [SimpleNamespace(name="one")]
+    for name, given in {
+        "_shortlist": lambda *given: [0],
+        "_best": lambda *given: fit(1),
+        "_sharper": lambda search, fit: (fit, None),
+        "_grown": lambda search, old, rest: fit(len(old.chosen) + 1),
+        "_eliminated": lambda search, fit, rest: fit,
+    }.items():
+        monkeypatch.setattr(forward, name, given)
+    assert [len(one.chosen) for one, _ in forward.run(begun)] == [0, 1, 2, 3]
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ import pytest
 from worlds import scenario_text
 
 from fluxtwin.gap.detectors.residual_structure import Structure, judge
-from fluxtwin.gap.hypotheses.blocks import Block, blocks
+from fluxtwin.gap.hypotheses.blocks import Block, _orbit_and_time, blocks
 from fluxtwin.gap.hypotheses.conditions import regions
 from fluxtwin.gap.hypotheses.courses import _hats, courses
 from fluxtwin.gap.hypotheses.evidence import Dictionary, fit_all
@@ -476,3 +476,16 @@ def test_a_region_is_called_by_where_it_is(nadir: Design) -> None:
         centre = np.array([across * np.cos(longitude), across * np.sin(longitude), np.sin(latitude)])
         away = np.arccos(r_E @ centre / np.linalg.norm(r_E, axis=1))
         assert np.corrcoef(away**2, np.log(one.columns[:, 0]))[0, 1] < -0.999, one.label
+
+
+def test_orbit_and_clock_go_wrong_by_smooth_courses_of_up_to_four_columns() -> None:
+    """A cubic in time has four with its constant; two waves of an orbit have five, and torquers move no orbit."""
+    carrier: Any = SimpleNamespace(late=lambda c: c.columns)
+    names = ["time", "orbit_phase", "orbit_phase", "torquer"]
+    given: list[Any] = [
+        SimpleNamespace(name=name, label=f"{name} {size}", columns=np.ones((5, size)))
+        for name, size in zip(names, (4, 3, 5, 2), strict=True)
+    ]
+    constant: Any = SimpleNamespace(name=None, label="always", columns=np.ones((5, 1)))
+    late = [one.label for one in _orbit_and_time(carrier, given, constant) if one.label.startswith("time, ")]
+    assert late == ["time, always", "time, time 4", "time, orbit_phase 3"]

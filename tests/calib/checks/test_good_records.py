@@ -13,6 +13,7 @@ from scipy.optimize import approx_fprime
 from fluxtwin.calib.checks.check import check_file
 from fluxtwin.calib.checks.evidence import scalar_evidence, slope_of_form
 from fluxtwin.calib.checks.outliers import _deviation
+from fluxtwin.calib.checks.stuck import _stuck
 from fluxtwin.sim.base.random_streams import stream
 from fluxtwin.sim.earth.field import FieldModel, load_field
 
@@ -56,6 +57,17 @@ def test_a_stretch_of_zeros_is_one_trap_with_its_first_row(model: FieldModel, tm
     case.mag[60:100] = 0.0
     (found,) = check_file(write(case, tmp_path / "record.csv"), model).traps
     assert (found.code, found.row_count, found.rows[0]) == ("stuck_values", 40, 61), found.text
+
+
+def test_fifty_stuck_runs_and_no_other_are_all_found() -> None:
+    """Of 100 rows each, between twice as many that change: as many runs as are looked at, and no other to compare with."""
+    rng = np.random.default_rng(2)
+    values = rng.normal(0.0, 1e4, 15000)
+    held = np.arange(15000) % 300 < 100
+    values[held] = np.repeat(values[::300], 100)
+    time = np.datetime64("2020-03-01", "ns") + np.arange(15000) * np.timedelta64(1, "s")
+    found = _stuck(values[:, None], time)
+    assert np.array_equal(found, held)
 
 
 def test_the_slope_of_a_form_is_its_gradient() -> None:

@@ -17,7 +17,7 @@ from fluxtwin.calib.common.fit import Fit
 from fluxtwin.calib.common.records import seconds_of
 from fluxtwin.calib.gyro import calibrate
 from fluxtwin.calib.gyro.motion import cut, degree_for, follow
-from fluxtwin.calib.gyro.solve import BASIS_S, fields_without_errors
+from fluxtwin.calib.gyro.solve import BASIS_S, fields_without_errors, solve
 from fluxtwin.sim.base.errors import BadInput, NoAnswer
 from fluxtwin.sim.base.late import late
 from fluxtwin.sim.base.random_streams import stream
@@ -204,3 +204,18 @@ def test_the_gyro_is_integrated_to_fourth_order() -> None:
     )
     assert np.abs(found - np.concatenate([field[::2], field[1::2]])).max() < 10.0  # of 37,000 nT
     assert errors[1] < 1e-4 and 8.0 < errors[0] / errors[1] < 32.0
+
+
+def test_a_field_as_strong_as_the_earths_that_follows_a_column_changes_nothing_but_its_own_estimate() -> None:
+    """Without S the model is linear in it. The ratio of the noises is sought to 2 %; a sigma follows its root at most."""
+    record = flown(7003, S=np.zeros((3, 3)), rows=150)
+    wave = np.sin(0.3 * np.arange(len(record)))[:, None]
+    reading_nT, rate = np.array(record.mag_B_nT), np.array(record.rate_B_rad_s)
+    given = (rate, [np.arange(k, k + 50) for k in (0, 50, 100)], 200.0, wave)
+    strong_nT = np.array([20000.0, -25000.0, 15000.0])
+    bare, driven = (
+        solve(record.time, nT, *given, with_S=False, weights=np.ones(len(record)), corrected=False)
+        for nT in (reading_nT, reading_nT + wave * strong_nT)
+    )
+    assert driven.fields_nT - bare.fields_nT == pytest.approx(strong_nT[None], rel=1e-4)
+    assert driven.bias_sigma_rad_s == pytest.approx(bare.bias_sigma_rad_s, rel=0.01)

@@ -257,3 +257,17 @@ def test_readings_have_the_noise_that_is_stated() -> None:
     noisy, plain = (simulate(parse_scenario(text.replace("NOISE", noise)))[0] for noise in ("20.0", "0.0"))
     rms_nT = np.sqrt(np.mean((np.asarray(noisy.mag_B_nT) - np.asarray(plain.mag_B_nT)) ** 2))
     assert rms_nT == pytest.approx(20.0, rel=4.0 * 0.0053)
+
+
+def test_the_angles_of_a_waypoint_are_where_the_body_is_held(scenario, close):
+    """Where yaw, roll and pitch are zero the body axes are the orbital ones; a pitch alone leaves y, a roll alone x."""
+    points = [
+        {"after_s": 0.0, "hold_s": 600.0, "roll_deg": 20.0},
+        {"after_s": 1800.0, "hold_s": 600.0, "pitch_deg": 30.0},
+    ]
+    _, truth = simulate(scenario.updated({"attitude": {"mode": "slews", "waypoints": points}}))
+    for row, roll, pitch in ((15, 20.0, 0.0), (105, 0.0, 30.0)):
+        down_B = frames.rotation_from_q(truth.q_NB[[row]]).apply(-truth.r_N_km[[row]])
+        size = np.linalg.norm(down_B)
+        found = np.degrees(np.arcsin([down_B[0, 1] / size, -down_B[0, 0] / size]))
+        close(found, [roll, pitch], atol=1e-6, unit="deg", because="rounding; the down of a sphere is the z axis of O")

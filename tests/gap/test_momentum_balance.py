@@ -296,6 +296,8 @@ def test_a_perfect_simulation_is_silent(name: str) -> None:
     assert not found.left.structured
     assert not found.unexplained
     assert found.gap.after_deg == found.gap.before_deg
+    # What is left is the attitude's error, 0.05 deg, of which a hundred rows or more tell the size to 15 %.
+    assert (found.gap.before_deg, found.gap.floor_deg) == pytest.approx((0.05, 0.05), rel=0.15)
     assert found.gap.closed is None
 
 

@@ -213,3 +213,21 @@ def _segment(minutes: float) -> dict[str, object]:
 def _closure(view: Flown) -> FloatArray:
     found = SimpleNamespace(problem=view.problem, whitener=view.whitener, modelled=view.problem.modelled_active)
     return found  # type: ignore[return-value]
+
+
+def test_the_likeliest_of_alike_causes_pays_for_each_parameter_the_log_of_the_samples(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Two more parameters cost 2 ln 1000 = 13.8 of chi-square where 3000 components were read: 8 are not worth it."""
+    fits = {None: (900.0, 0), "one": (600.0, 1), "three": (592.0, 3)}
+
+    def refit(_: Any, chosen: Any = ()) -> Any:
+        chi2, rank = fits[chosen[0][0] if chosen else None]
+        return SimpleNamespace(chi2=chi2, rank_chosen=rank, chosen=chosen)
+
+    monkeypatch.setattr(power, "refit", refit)
+    known = [SimpleNamespace(name=name, effect=name, live=np.ones(1)) for name in ("one", "three")]
+    view: Any = SimpleNamespace(found=known, plausible=lambda cause: cause)
+    for measured, wanted in ((3000, "one"), (30, "three")):
+        readings: Any = SimpleNamespace(measured=measured)
+        assert Flown._best(view, readings, ["one", "three"]).effect == wanted

@@ -8,6 +8,8 @@ import pytest
 from fluxtwin.calib.attitude.horizon_scanner import _by_pass, calibrate_scanner
 from fluxtwin.scenarios.hcmm import mission
 from fluxtwin.sim.base.errors import BadInput, NoAnswer
+from fluxtwin.sim.earth.frames import nadir_of, roll_pitch
+from fluxtwin.sim.earth.sun import sun_direction_N
 
 pytestmark = pytest.mark.closure
 
@@ -102,6 +104,26 @@ def test_one_sun_direction_cannot_give_both(telemetry):
     )
     with pytest.raises(NoAnswer, match="cannot be seen"):
         calibrate_scanner(many)
+
+
+def test_a_sigma_of_more_than_five_degrees_is_refused(telemetry):
+    """By the slopes of the angle between sun s and nadir n, -s . dn / sin, and the scatter about a line: to a half, as the
+    slopes at the fit, by degrees elsewhere, are others."""
+    good = np.flatnonzero(np.isfinite(telemetry.sun_B).all(axis=1) & np.isin(telemetry.sun_sensor_head, (2, 3)))
+    few = telemetry.select(good[100:110])
+    with pytest.raises(NoAnswer) as refused:
+        calibrate_scanner(few)
+    s, n = np.array(few.sun_B), np.array(few.nadir_B)
+    angle = np.arccos(np.sum(s * n, axis=1))
+    h = 1e-5
+    slopes = [(nadir_of(roll_pitch(n) + h * one) - n) / h for one in np.eye(2)]
+    J = np.stack([-np.sum(s * one, axis=1) / np.sin(angle) for one in slopes], axis=1)
+    down = -np.array(few.r_N_km)
+    sun_N = sun_direction_N(few.time, few.r_N_km)
+    y = angle - np.arccos(np.sum(down * sun_N, axis=1) / np.linalg.norm(down, axis=1))
+    left = y - J @ np.linalg.lstsq(J, y, rcond=None)[0]
+    sigma_deg = np.degrees(np.sqrt(np.mean(left**2) / np.linalg.eigvalsh(J.T @ J)[0]))
+    assert refused.value.evidence["sigma_deg"] == pytest.approx(sigma_deg, rel=0.5)
 
 
 def _columns(record):

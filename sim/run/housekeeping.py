@@ -44,7 +44,8 @@ def _share(scenario: Scenario, section: DriverSection, world: World, name: str) 
         return world.illumination
     if section.pattern == "random":
         assert section.duty is not None and section.dwell_s is not None
-        drawn = draw_random_duty(1.0, section.duty, section.dwell_s, stream(scenario.seed, name), both_signs=False)
+        rng = stream(scenario.seed, name)
+        drawn = draw_random_duty((1.0, 0.0, 0.0), section.duty, section.dwell_s, rng, both_signs=False)
         return drawn.dipole_B_Am2(world.time)[:, 0]
     if section.period_s is None:
         return np.ones(world.time.size)

@@ -7,10 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 from worlds import TUMBLING, tumbling
 
 from fluxtwin.gap.diagnose import diagnose
-from fluxtwin.gap.fleet import Fleet, fleet
+from fluxtwin.gap.fleet import Fleet, _apart, fleet
 from fluxtwin.gap.linear.projection import explained_in_units
 from fluxtwin.gap.records.diagnosis import Diagnosis, FoundEffect, Score
 from fluxtwin.sim.base.errors import BadInput
@@ -128,6 +129,18 @@ def test_sizes_that_vary_as_their_noise_cost_no_power(perfect: Diagnosis) -> Non
         fleet_of.append(replace(perfect, scores=((late, other), (late, other))))
     found = fleet([f"v{k}" for k in range(12)], fleet_of)
     assert found.common is not None and found.common.name == "time_tag_offset" and found.common.spread[0] == 0.0
+
+
+def test_each_is_apart_from_the_mean_of_the_others_in_sigmas_of_their_scatter() -> None:
+    """Four sizes of one sigma: the difference's variance is 1 + 1/3, and that of the three others by their own mean."""
+    sizes = np.array([4.0, 6.0, -6.0, 1.0])
+    scores = [
+        Score("time_tag_offset", LATE, np.array([x / SIGMA_S**2]), np.array([[SIGMA_S**-2]])) for x in SIGMA_S * sizes
+    ]
+    others = [np.delete(sizes, k) for k in range(4)]
+    assert all(chi2.sf(2.0 * one.var(ddof=1), 2) < 0.01 for one in others), "more than chance, whichever is left out"
+    expected = [(x - one.mean()) ** 2 / (4.0 / 3.0) / one.var(ddof=1) for x, one in zip(sizes, others, strict=True)]
+    assert [apart for apart, _ in _apart(scores)] == pytest.approx(expected, rel=1e-9)
 
 
 def test_scores_are_those_of_least_squares(perfect: Diagnosis) -> None:

@@ -398,6 +398,19 @@ def test_a_field_that_was_on_for_one_stretch_is_found_and_a_step_is_none() -> No
     assert likeliest_interval(step, here.whitener, begun.base.residual, begun.base.jacobian) is None
 
 
+@pytest.mark.parametrize("rows", [255, 256])
+def test_an_interval_is_looked_for_from_four_rows_an_edge_on(rows: int) -> None:
+    """In sixty-fourths of the record; ten sigma of a white residual, beside a constant field, without noise."""
+    time = np.datetime64("2026-03-01", "ns") + np.arange(rows) * np.timedelta64(60, "s")
+    problem: Any = SimpleNamespace(rows=rows, time=time)
+    white: Any = SimpleNamespace(apply=lambda columns: columns)
+    residual = np.zeros((rows, 3))
+    residual[80:160, 1] = 10.0
+    found = likeliest_interval(problem, white, residual, np.tile(np.eye(3), (rows, 1, 1)))
+    edges = [epoch.iso(time[row], "ms") for row in (80, 160)]
+    assert found == (SwitchedField("interval", *edges) if rows == 256 else None)
+
+
 def test_the_scale_of_a_candidate_is_that_of_its_parameters() -> None:
     one = Candidate(Hysteresis(), np.zeros((1, 3, 1)), np.ones(1, dtype=bool))
     assert one.scale.tolist() == [parameter.scale for parameter in Hysteresis().parameters]

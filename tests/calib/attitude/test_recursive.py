@@ -61,6 +61,16 @@ def test_a_wild_reading_stands_out_beside_a_large_turn_of_the_axes() -> None:
     assert np.flatnonzero(far).tolist() == [77]
 
 
+def test_a_reading_that_only_the_filter_notices_counts_no_more() -> None:
+    """400 nT, twenty sigma of the reading, are not far from a batch fit whose residuals hold the attitude's errors."""
+    segment = {"start_utc": "2026-03-01T00:00:00Z", "duration_min": 60.0, "step_s": 20.0}
+    telemetry, _ = simulate(scenario(seed=3).updated({"schedule.segments": [segment]}))
+    mag = np.array(telemetry.mag_B_nT)
+    mag[77, 1] += 400.0
+    fit = fluxtwin.calibrate(telemetry.replace(mag_B_nT=mag), method="recursive")
+    assert not fit.left_out and fit.rows[fit.weights == 0.0].tolist() == [77]
+
+
 def test_with_a_noisy_reference_it_agrees_with_truth_and_the_batch(flown: tuple[Any, Any]) -> None:
     """Twelve pulls of one seed: one beyond 4.5 in 10,000 runs; three sigma of 12 squares are within 2.3 of their mean 1."""
     telemetry, truth = flown

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 
 import fluxtwin
 from fluxtwin.calib.common.orbit_error import ahead
+from fluxtwin.calib.common.verdict import Along, _orbit_suspect_km
 from fluxtwin.sim.earth import frames
 from fluxtwin.sim.earth.references import rotation_XN
 from fluxtwin.sim.telemetry.companions import ALONG_TRACK_KM, ATTITUDE_OF_ORBIT
@@ -109,3 +111,13 @@ def test_a_verdict_names_the_elements_where_they_may_be_the_cause_and_the_diagno
     right = flown(1)
     good = fluxtwin.calibrate(right.replace(provenance={**right.provenance, ALONG_TRACK_KM: str(SIGMA_KM)})).verdict
     assert good is not None and not any("elements" in line for line in good.lines)
+
+
+@pytest.mark.parametrize(("found_nT", "suspect_km"), [(141.0, 0.0), (142.0, 12.0), (620.0, 12.0), (630.0, 0.0)])
+def test_elements_are_suspect_between_twice_the_noise_and_what_three_sigma_do(
+    found_nT: float, suspect_km: float
+) -> None:
+    """Variances: 141.4^2 is twice that of 100 nT; 36 km by 3 * 40,000 / 7000 nT/km of a dipole and the noise are 625 nT."""
+    fit: Any = SimpleNamespace(rejected=0, weights=np.ones(9))
+    record: Any = SimpleNamespace(provenance={ALONG_TRACK_KM: "12"}, r_N_km=np.array([[7000.0, 0.0, 0.0]] * 9))
+    assert _orbit_suspect_km(fit, record, Along(found_nT, 100.0, 100.0, 100.0), 40_000.0) == suspect_km

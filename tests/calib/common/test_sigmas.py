@@ -14,6 +14,7 @@ import pytest
 from scipy.signal import lfilter
 
 from fluxtwin.calib.common.design import Design
+from fluxtwin.calib.common.noise import reading_noise
 from fluxtwin.calib.common.slow_errors import PairedCells, kernel_moments
 from fluxtwin.calib.linear.calibrate import calibrate_linear, fit_design
 from fluxtwin.calib.linear.method import LinearOptions
@@ -172,6 +173,16 @@ def test_noise_that_differs_between_axes_is_found(seasat: Any) -> None:
     assert np.abs(np.sqrt(np.mean(found, axis=0)) / noise - 1.0).max() < 0.1
     assert abs(np.mean(pulls, axis=0)[4]) < 0.3
     assert abs(mean_square(pulls) - 1.0) < 3.0 * np.sqrt(2.0 / 100.0)
+
+
+@pytest.mark.parametrize("rows", [30, 31])
+def test_thirty_differences_are_enough_to_find_the_noise(seasat: Any, rows: int) -> None:
+    """Uniform, 50 nT rms, so that no difference stands out; of thirty, sigma scatters by 16 %: within three of those."""
+    field = seasat.field_B_nT[:: 325 // rows][:rows]
+    residual = 50.0 * np.sqrt(3.0) * np.random.default_rng(61).uniform(-1.0, 1.0, (rows, 3))
+    noise = reading_noise(rows_at(np.arange(float(rows)), field, field), residual, None, None)
+    assert ("too few neighbouring samples" in noise.source) == (rows == 30)
+    assert rows == 30 or abs(np.sqrt(noise.variance_nT2.mean()) / 50.0 - 1.0) < 0.5
 
 
 def test_noise_that_lasts_is_counted_as_unknown(seasat: Any) -> None:

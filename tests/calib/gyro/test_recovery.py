@@ -17,7 +17,7 @@ from fluxtwin.calib.common.fit import Fit
 from fluxtwin.calib.common.records import seconds_of
 from fluxtwin.calib.gyro import calibrate
 from fluxtwin.calib.gyro.motion import cut, degree_for, follow
-from fluxtwin.calib.gyro.solve import BASIS_S, fields_without_errors, solve
+from fluxtwin.calib.gyro.solve import BASIS_S, drops, fields_without_errors, solve
 from fluxtwin.sim.base.errors import BadInput, NoAnswer
 from fluxtwin.sim.base.late import late
 from fluxtwin.sim.base.random_streams import stream
@@ -178,6 +178,30 @@ def test_a_stretch_has_three_rows_more_than_its_polynomial_has_degrees() -> None
     for rows, stretches in ((fewest, 1), (fewest - 1, 0)):
         time = np.datetime64("2020-03-01", "ns") + np.arange(rows) * np.timedelta64(1, "s")
         assert len(cut(time, np.zeros((rows, 3)), 100.0)) == stretches
+
+
+@pytest.mark.parametrize(("mean_rad_s", "stretches"), [(0.9, 1), (1.1, 0)])
+def test_no_stretch_has_a_step_that_turns_by_more_than_a_radian(mean_rad_s: float, stretches: int) -> None:
+    """Rates that differ by 1 rad/s from row to row, a second apart: a step turns by the mean of its two ends."""
+    time = np.datetime64("2020-03-01", "ns") + np.arange(20) * np.timedelta64(1, "s")
+    speed = mean_rad_s + np.where(np.arange(20) % 2, 0.5, -0.5)
+    assert len(cut(time, speed[:, None] * [0.6, 0.0, 0.8], 20.0)) == stretches
+
+
+def test_a_column_lowers_chi_square_by_what_fitting_it_does() -> None:
+    """Two fits with the same noises, without and with the column: residual sums of squares are variances by freedoms."""
+    record = flown(7000, gyro=0.05, rows=120)
+    rate, on = np.asarray(record.rate_B_rad_s), (np.arange(120) // 17 % 2).astype(float)[:, None]
+    cuts, none = cut(record.time, rate, 170.0), np.zeros((120, 0))
+    given = (record.time, record.mag_B_nT + on * [300.0, -200.0, 120.0], rate, cuts, 170.0)
+    rows: Any = {"with_S": True, "weights": np.ones(120), "corrected": False}
+    solved = solve(*given, none, **rows)
+    without = solve(*given, none, start=solved, **rows)
+    beside = solve(*given, on, start=solved._replace(fields_nT=np.zeros((1, 3))), **rows)
+    freedom = 3 * 120 - 3 * (degree_for(170.0) + 1) * len(cuts) - 14
+    lowered = without.variance_nT2 * freedom - beside.variance_nT2 * (freedom - 3)
+    found = drops(*given, none, solved, np.ones(120, dtype=bool), none, on)
+    assert found == pytest.approx([lowered / solved.variance_nT2], rel=1e-6)
 
 
 @pytest.mark.reference

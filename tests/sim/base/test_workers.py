@@ -67,6 +67,11 @@ def test_a_cluster_without_dask(monkeypatch: pytest.MonkeyPatch) -> None:
         pass
 
 
+@pytest.mark.parametrize(("calls", "jobs"), [(1, 4), (2, 1)])
+def test_one_call_or_one_job_needs_no_other_process(calls: int, jobs: int) -> None:
+    assert list(workers.answers(os.getpid, [()] * calls, jobs=jobs)) == [os.getpid()] * calls
+
+
 @pytest.mark.skipif(os.name != "posix", reason="ends a process as a lack of memory does")
 def test_a_process_that_ends_before_its_part_is_done() -> None:
     with pytest.raises(BadInput, match=r"--jobs: a process ended before its part was done.*--resume"):

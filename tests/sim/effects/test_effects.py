@@ -8,6 +8,7 @@ import warnings
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 from worlds import scenario_text
 
 from fluxtwin.gap.problem.problem import pose
@@ -20,6 +21,7 @@ from fluxtwin.sim.effects.chain import Chain, jacobian
 from fluxtwin.sim.run import spacecraft as scenario_spacecraft
 from fluxtwin.sim.run.simulate import simulate
 from fluxtwin.sim.scenario.effect_sections import (
+    _section_type,
     active_effects,
     effect_section,
     effect_toml,
@@ -324,6 +326,14 @@ def test_a_section_survives_saving(effect, chain, scenario):
         assert before == after == alternative
         assert np.array_equal(one, other)
         assert effect_toml(alternative, one).startswith(f"[effects.{effect.name}]")
+
+
+def test_a_section_has_a_matrix_row_by_row():
+    section, matrix = _section_type(find_effect("scale_misalignment")), (1e-3 * np.arange(9.0)).reshape(3, 3).tolist()
+    assert np.array_equal(section.model_validate({"S": matrix}).S, matrix)
+    for wrong in (matrix[:2], [*matrix[:2], matrix[2][:2]], np.ravel(matrix).tolist()):
+        with pytest.raises(ValidationError):
+            section.model_validate({"S": wrong})
 
 
 def test_a_covariance_is_carried_along_and_changes_nothing(scenario):

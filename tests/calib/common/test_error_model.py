@@ -10,6 +10,7 @@ from scipy.signal import lfilter
 
 from fluxtwin.calib.common.design import Design
 from fluxtwin.calib.common.error_kernels import whitened_gram
+from fluxtwin.calib.common.error_model import LikelihoodCells, _Likelihood
 from fluxtwin.calib.common.shrinkage import widening
 from fluxtwin.calib.linear.calibrate import calibrate_linear, fit_design
 from fluxtwin.calib.linear.method import LinearOptions
@@ -239,3 +240,30 @@ def test_what_cannot_be_is_refused(seasat: Any, given: dict[str, Any], where: st
     with pytest.raises(BadInput) as refusal:
         calibrate_linear(seasat.record(reading), seasat.model, **given)
     assert where in str(refusal.value)
+
+
+@pytest.mark.reference
+def test_the_reference_prior_is_the_root_of_the_information() -> None:
+    """Fisher's, tr(V^-1 dV V^-1 dV) of a covariance V written out, less design and constant attitude, by differences in the
+    logarithms. sigma explains the residual: of a turn, two thirds of |B|^2 sigma^2 are in a component, on average."""
+    rng = np.random.default_rng(11)
+    K, factor = 16, 30.0
+    field, residual = 3e4 * rng.normal(size=(K, 3)), 200.0 * rng.normal(size=(K, 3))
+    image = np.array([[[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]] for x, y, z in field])
+    seconds, design = 60.0 * np.arange(K), np.column_stack([rng.normal(size=K), np.ones(K)])
+    given = (seconds, residual, design, image, np.eye(3), np.ones(K), np.zeros(K), float(seconds[-1]))
+    logs, found = _Likelihood(LikelihoodCells(*given), None, None)._reference_prior(factor)
+    flat = image.reshape(-1, 3)
+    left = np.linalg.qr(np.hstack([np.kron(design, np.eye(3)), flat]), mode="complete")[0][:, 9:]
+    sigma2 = np.mean(residual**2) / np.mean(np.sum(field**2, axis=1) * 2.0 / 3.0)
+
+    def V(log_sigma2: float, log_tau: float, log_white2: float) -> np.ndarray:
+        kernel = np.exp(log_sigma2 - np.abs(seconds[:, None] - seconds) / np.exp(log_tau))
+        whole = flat @ flat.T * np.kron(kernel, np.ones((3, 3))) + np.exp(log_white2) * np.eye(3 * K)
+        return np.asarray(left.T @ whole @ left)
+
+    for log_tau, value in zip(logs, found, strict=True):
+        at = np.array([np.log(sigma2), log_tau, 2.0 * np.log(factor)])
+        rates = [np.linalg.solve(V(*at), V(*(at + h)) - V(*(at - h))) / 2e-4 for h in 1e-4 * np.eye(3)]
+        information = np.array([[np.trace(a @ b) for b in rates] for a in rates])
+        assert value == pytest.approx(0.5 * np.linalg.slogdet(information)[1], abs=1e-6)

@@ -24,6 +24,11 @@ FALSE_ALARM = 0.01
 """Level of a test that no worth is given for, over all that it is made of."""
 
 
+def samples_of(components: float) -> float:
+    """Samples in time, of so many measured components: three each, and two at least, so that a parameter has a price."""
+    return max(components / 3.0, 2.0)
+
+
 def penalty(rank: ArrayLike, drop: ArrayLike, samples: float) -> FloatArray:
     """Of `rank` parameters that lower chi-square (unit variance) by `drop` together."""
     ranks = np.maximum(np.asarray(rank, dtype=np.float64), 0.0)

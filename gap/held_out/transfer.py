@@ -22,6 +22,7 @@ from fluxtwin.gap.linear.projection import orthonormal
 from fluxtwin.gap.noise.whitening import Whitener, make_whitener
 from fluxtwin.gap.problem.row_axes import turn_images
 from fluxtwin.gap.records.diagnosis import Closure, FoundEffect, Transfer
+from fluxtwin.gap.selection.criterion import samples_of
 from fluxtwin.gap.selection.detectable import Rule, visible_part
 from fluxtwin.gap.selection.refit import Readings, refit
 from fluxtwin.gap.selection.search import WORTH_SAYING
@@ -114,7 +115,7 @@ def _one(
     spread: FloatArray = np.asarray(np.linalg.eigvalsh(white.T @ white), dtype=np.float64)
     seen = spread[spread > _ABSORBED]
     rank = max(seen.size, 1)
-    rule = Rule(rank, tested, max(design.whitener.measured / 3.0, 2.0))
+    rule = Rule(rank, tested, samples_of(design.whitener.measured))
     bar = rule.least_drop
     unsure2, energy = float(np.sum(raw**2) / raw[:, :, 0].size), float(spread.sum())
     chance = (1.0 - sum(other.weight for other in others)) * _seen_by_chance(seen, bar)
@@ -168,7 +169,7 @@ def _others(closure: Closure, number: int) -> tuple[Other, ...]:
     problem, effect = closure.problem, closure.chosen[number][0]
     readings = Readings(problem, closure.whitener)
     own = refit(readings, closure.chosen, modelled=closure.modelled)
-    samples = max(closure.whitener.measured / 3.0, 2.0)
+    samples = samples_of(closure.whitener.measured)
     found: list[Other] = []
     for other in closure.alternatives[number][:_MOST_TRIALS]:
         if other.name == effect.name and other.bound:

@@ -13,7 +13,7 @@ from collections.abc import Callable
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from fluxtwin.calib.common.criterion import THRESHOLD, worth
+from fluxtwin.calib.common.criterion import THRESHOLD, samples_of, worth
 from fluxtwin.gap.linear.projection import span_of
 from fluxtwin.gap.noise.whitening import Whitener, with_walk
 from fluxtwin.sim.base.types import FloatArray
@@ -38,7 +38,7 @@ def likeliest_rate(whitener: Whitener, residual_nT: FloatArray, fitted_nT: Float
 
     unit = whitener.noise.sigma_nT / np.sqrt(float(whitener.seconds[-1] - whitener.seconds[0]))
     found = minimize_scalar(lost, bounds=np.log(unit * np.array(RMS)), options={"xatol": _CLOSE})
-    found_worth = worth(-float(found.fun), 1, max(whitener.measured / 3.0, 2.0), 0.0)
+    found_worth = worth(-float(found.fun), 1, samples_of(whitener.measured), 0.0)
     return float(np.exp(found.x)) if found_worth > THRESHOLD else None
 
 

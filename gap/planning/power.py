@@ -23,7 +23,7 @@ from fluxtwin.gap.linear.projection import least_share, orthonormal, projected
 from fluxtwin.gap.noise.choice import NoiseModel, whitener_of
 from fluxtwin.gap.noise.whitening import Whitener
 from fluxtwin.gap.problem.problem import Problem
-from fluxtwin.gap.selection.criterion import IN_GROUP, SHAPE, TWENTY_TO_ONE, penalty, stands_out
+from fluxtwin.gap.selection.criterion import IN_GROUP, SHAPE, TWENTY_TO_ONE, penalty, samples_of, stands_out
 from fluxtwin.gap.selection.detectable import smallest
 from fluxtwin.gap.selection.refit import Readings, refit
 from fluxtwin.gap.selection.score import Board, board, whitened
@@ -135,7 +135,7 @@ class Flown:
     def _best(self, readings: Readings, names: Sequence[str]) -> Cause | None:
         """By the criterion, at its refit."""
         best, least = None, np.inf
-        base, samples = refit(readings).chi2, max(readings.measured / 3.0, 2.0)
+        base, samples = refit(readings).chi2, samples_of(readings.measured)
         for candidate in self.found:
             if candidate.name in names:
                 fit = refit(readings, [(candidate.effect, np.zeros(candidate.live.size))])
@@ -290,7 +290,7 @@ def probability_of(name: str, others: Collection[str], scored: Board, signal: Fl
     score = _score(scored, signal)[:, None] + (vectors * np.sqrt(np.maximum(values, 0.0))) @ noise
     rank = scored.rank[:, None].astype(float)
     drop = _drops(scored, score)
-    samples, tested = max(scored.measured / 3.0, 2.0), max(int((scored.rank > 0).sum()), 1)
+    samples, tested = samples_of(scored.measured), max(int((scored.rank > 0).sum()), 1)
     price = penalty(rank, drop, samples)
     cost = np.where(rank > 0, price - drop, np.inf)
     best, draw = np.argmin(cost, axis=0), np.arange(_DRAWS)

@@ -27,7 +27,7 @@ from fluxtwin.gap.noise.walk import gain, likeliest_rate
 from fluxtwin.gap.noise.whitening import with_walk
 from fluxtwin.gap.posterior.explanations import Answer, Known, answered_with, log_likelihood, signals_of, without_names
 from fluxtwin.gap.problem.problem import Problem
-from fluxtwin.gap.selection.criterion import IN_GROUP, LOG_FURTHER, SHAPE, THRESHOLD, worth
+from fluxtwin.gap.selection.criterion import IN_GROUP, LOG_FURTHER, SHAPE, THRESHOLD, samples_of, worth
 from fluxtwin.gap.selection.forward import LARGEST
 from fluxtwin.sim.base.types import FloatArray
 
@@ -162,7 +162,7 @@ class Structured:
         if rate is None:
             return -np.inf, 0.0, None
         gain, _ = self._gain(answer, noise, bare_nT, alone, rate)
-        samples, tried = max(whitener.measured / 3.0, 2.0), float(np.log(answer.result.tested))
+        samples, tried = samples_of(whitener.measured), float(np.log(answer.result.tested))
         further = LOG_FURTHER if walking.result.named else 0.0  # the names beside it are paid for as if alone
         return worth(gain, 1, samples, tried) + max(walking.worth, 0.0) - further, rate, walking
 
@@ -197,7 +197,7 @@ class Structured:
             return 0.0
         alone = projected(whitener, result.residual_alone_nT, without_names(self.problem, answer))
         explained = max(alone.energy - projected(whitener, result.residual_nT, answer.fitted_nT).energy, 0.0)
-        beyond = line.beyond(1.0 + SHAPE * explained, max(whitener.measured / 3.0, 2.0))
+        beyond = line.beyond(1.0 + SHAPE * explained, samples_of(whitener.measured))
         return float(expit(0.5 * (LOG_FURTHER - beyond)))
 
 

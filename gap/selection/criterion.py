@@ -11,6 +11,7 @@ from scipy.special import expit, logit
 
 from fluxtwin.calib.common.criterion import THRESHOLD as THRESHOLD
 from fluxtwin.calib.common.criterion import penalty as penalty
+from fluxtwin.calib.common.criterion import samples_of as samples_of
 from fluxtwin.calib.common.criterion import worth as worth
 from fluxtwin.sim.base.types import BoolArray
 

@@ -25,7 +25,7 @@ from scipy.special import fdtrc, ncfdtr
 
 from fluxtwin.gap.linear.projection import Whitens, orthonormal, projected_out
 from fluxtwin.gap.records.diagnosis import Detectable
-from fluxtwin.gap.selection.criterion import penalty, stands_out
+from fluxtwin.gap.selection.criterion import penalty, samples_of, stands_out
 from fluxtwin.gap.selection.score import Board
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.effects.base import Parameter
@@ -183,7 +183,7 @@ def visible_part(
 def _best_columns(board: Board, tested: int) -> dict[str, Smallest]:
     """By name, in the parameters of an effect's first form: the rate of a clock says nothing of a clock that is late."""
     plain = {one.name: {p.name for p in one.effect.parameters} for one in reversed(board.candidates)}
-    samples, freedom = max(board.measured / 3.0, 2.0), float(board.trusted)
+    samples, freedom = samples_of(board.measured), float(board.trusted)
     best: dict[str, Smallest] = {}
     for column in np.flatnonzero(board.left > board.share_left):
         owner = int(board.owner[column])

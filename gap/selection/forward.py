@@ -16,7 +16,7 @@ import numpy as np
 
 from fluxtwin.gap.hypotheses.candidates import Candidate
 from fluxtwin.gap.linear.projection import SHARE_LEFT, explained, orthonormal
-from fluxtwin.gap.selection.criterion import GATE, penalty
+from fluxtwin.gap.selection.criterion import GATE, penalty, samples_of
 from fluxtwin.gap.selection.refit import Channel, Fit, refit
 from fluxtwin.gap.selection.score import Board, board, whitened
 from fluxtwin.sim.base.types import FloatArray
@@ -67,7 +67,7 @@ class Search(Generic[OfChannel]):
 
     @property
     def samples(self) -> float:
-        return max(self.channel.measured / 3.0, 2.0)
+        return samples_of(self.channel.measured)
 
     def fit(self, numbers: Sequence[int], start: Sequence[FloatArray]) -> Fit:
         """The refit of these candidates; each set is fitted once."""

@@ -36,8 +36,8 @@ faults of the newest run that no test noticed ([their share](../trust.md)), with
 ABOUT = """# Robustness tests
 
 `python -m benchmarks.trust` makes this table. It damages files, fills disks, stops processes and runs the program in
-unusual places, and counts everything that should not have happened. A trial runs in a process of its own, or shares one
-with others, in which an end by a signal would be noticed.
+unusual places, and counts everything that should not have happened. Each trial runs in a subprocess, alone or with
+others; a crash by a signal is noticed.
 [SECURITY.md](../SECURITY.md) says what is refused, with the limits.
 
 - *While a file is written*: the old or the new file must be whole, with a message and exit 2, and nothing else left.

@@ -143,7 +143,7 @@ def _against_field(
     if any(finding.severity == "trap" and finding.code != "outliers" for finding in again):
         return usable, found
     posed = comparable(telemetry, model, usable, with_attitude=True)
-    if posed is not None and posed.q_NB is not None:  # their field is fitted then, so that all rows can be looked at
+    if posed is not None:  # their field is fitted then, so that all rows can be looked at
         again = [finding for finding in again if finding.code not in ("outliers", "rough_readings")]
         again = [*check_outliers(telemetry, posed, model, usable, origin)[0], *again]
     return quiet, [*again, note("torquers_on", on=int(on.sum()), rows=len(telemetry))]

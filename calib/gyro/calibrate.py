@@ -108,7 +108,7 @@ def _fit(
     _require_turns(solved, used.mag_B_nT - follows @ solved.fields_nT, options)
     in_stretch, residual_nT = solved.rows, solved.residual_nT
     w = weights[in_stretch]
-    kept = w > 0.0
+    kept = kept_rows(w)
     noise = _noise(options, solved.variance_nT2)
     beside = f", field of {' and '.join(columns)} estimated" if columns else ""
     fields_sigma_nT = np.sqrt(np.diag(solved.fields_covariance)).reshape(-1, 3)

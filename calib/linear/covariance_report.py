@@ -95,8 +95,9 @@ class _Found(NamedTuple):
 def _correlated(problem: LinearProblem, solution: Solution, passes: np.ndarray | None) -> _Found:
     """Stacked covariance by the model of the errors, as far as blocks confirm it."""
     options = problem.options
-    kept = problem.kept & (problem.weights > 0)
-    posterior = find_errors(evidence(problem, solution, kept), options.attitude_sigma_deg, options.attitude_tau_s)
+    posterior = find_errors(
+        evidence(problem, solution, problem.weights > 0), options.attitude_sigma_deg, options.attitude_tau_s
+    )
     if posterior is None:
         return _Found(_white(problem, solution), "too few rows to see correlation: white", 0.0, None)
     label = segments(problem.design.time)

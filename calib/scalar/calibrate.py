@@ -207,6 +207,7 @@ def fit_rows(
     start = pack(np.zeros((3, 3)), center(problem.data), problem.data)
     require_observed(add_up(start, problem.data, noise=True), problem.names, how)
     solved, kept = _first(problem, start)
+    a = kept.astype(np.float64)
     noise = scalar_noise(
         rows.B_nT, rows.time, residual(solved.p, problem.data) * problem.scale_nT, options.noise_nT, options.lsb_nT
     )
@@ -214,13 +215,12 @@ def fit_rows(
     how = geometry(problem.data, problem.scale_nT)
     first = solved
     try:
-        solved, notes = _estimate(problem, first, kept)
+        solved, notes = _estimate(problem, first, a)
     except NoAnswer:
         for p in (start, first.p):  # says more where it applies
             require_observed(add_up(p, problem.data, noise=True), problem.names, how, over_noise=10.0)
         refuse_thin(add_up(start, problem.data), problem.names, how)
         raise
-    a = kept.astype(np.float64)
     inflation = solved.sums.cost / max(float(a.sum()) - problem.data.size, 1.0)
     scores = _scores(problem, solved, a)
     if options.method == "center":
@@ -270,10 +270,9 @@ def _first(problem: ScalarProblem, start: FloatArray) -> tuple[Solved, BoolArray
     return solve(p, data, kept.astype(np.float64), adjusted=False), kept
 
 
-def _estimate(problem: ScalarProblem, first: Solved, kept: BoolArray) -> tuple[Solved, list[str]]:
+def _estimate(problem: ScalarProblem, first: Solved, a: FloatArray) -> tuple[Solved, list[str]]:
     """The method's own answer, with what is to be said about the way to it."""
     data, method = problem.data, problem.options.method
-    a = kept.astype(np.float64)
     if method == "center":
         p = center(data, a)
         return Solved(p, add_up(p, data, a), True, 1), []

@@ -14,7 +14,7 @@ import re
 from collections.abc import Iterator, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -28,9 +28,6 @@ from fluxtwin.sim.earth.epoch import parse_time
 from fluxtwin.sim.telemetry.columns import PROVENANCE, FileTable, clip, describe, file_columns, resolve
 from fluxtwin.sim.telemetry.quantities import DRIVERS, MAG
 from fluxtwin.sim.telemetry.record import Telemetry
-
-if TYPE_CHECKING:
-    pass
 
 TIME_UNITS = "nanoseconds since 1970-01-01"
 _SHA = "fluxtwin_sha256"

@@ -115,7 +115,9 @@ def test_a_folder_that_takes_no_file_and_a_disk_that_is_full(tmp_path, monkeypat
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="a device that is always full")
+@pytest.mark.skipif(
+    not os.path.exists("/dev/full"), reason="this system has no /dev/full, a device that is always full"
+)
 def test_a_stream_is_written_to_and_not_replaced(tmp_path, capfd):
     assert files.writable_file("/dev/stdout") == files.write_text("/dev/stdout", "all of it")
     assert capfd.readouterr().out == "all of it"

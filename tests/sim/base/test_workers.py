@@ -72,7 +72,9 @@ def test_one_call_or_one_job_needs_no_other_process(calls: int, jobs: int) -> No
     assert list(workers.answers(os.getpid, [()] * calls, jobs=jobs)) == [os.getpid()] * calls
 
 
-@pytest.mark.skipif(os.name != "posix", reason="ends a process as a lack of memory does")
+@pytest.mark.skipif(
+    os.name != "posix", reason="only POSIX systems have SIGKILL, which ends a process that takes too much memory"
+)
 def test_a_process_that_ends_before_its_part_is_done() -> None:
     with pytest.raises(BadInput, match=r"--jobs: a process ended before its part was done.*--resume"):
         list(workers.answers(signal.raise_signal, [(signal.SIGKILL,), (signal.SIGKILL,)], jobs=2))

@@ -37,6 +37,9 @@ import numpy as np
 from fluxtwin.calib.attitude.recursive import calibrate_recursive
 from fluxtwin.calib.common.design import Design
 from fluxtwin.calib.common.fit import Fit
+from fluxtwin.calib.common.records import Calibration
+from fluxtwin.calib.gyro.calibrate import calibrate_gyro
+from fluxtwin.calib.gyro.solve import BASIS_S
 from fluxtwin.calib.linear.calibrate import fit_design
 from fluxtwin.calib.linear.method import LinearOptions
 from fluxtwin.calib.scalar.calibrate import ScalarOptions, fit_rows
@@ -118,6 +121,21 @@ def tumbling(tree: Tree) -> None:
     tree["attitude"] = {"mode": "tumble", "rate_deg_s": [0.12, 0.08, 0.2], "reference": tree["attitude"]["reference"]}
 
 
+def without_S(tree: Tree) -> None:
+    """Tumbling, for a method that estimates b alone."""
+    tumbling(tree)
+    tree["magnetometer"]["S"] = np.zeros((3, 3)).tolist()
+
+
+def gyro(tree: Tree) -> None:
+    """Just released: two degrees per second for an hour, a row every four seconds, a gyro of 0.02 deg/s."""
+    tumbling(tree)
+    tree["attitude"] = {"mode": "tumble", "rate_deg_s": [1.5, 0.8, -1.1]}
+    tree["gyro"] = {"bias_deg_h": [30.0, -20.0, 10.0], "noise_deg_s": 0.02}
+    segment = tree["schedule"]["segments"][0]
+    tree["schedule"]["segments"][0] = {"start_utc": segment["start_utc"], "samples": 900, "step_s": 4.0}
+
+
 def as_it_is(tree: Tree) -> None:
     """README's."""
 
@@ -144,9 +162,13 @@ CASES: dict[str, Case] = {
     "white": Case("attitude 0.1 deg, white", attitude(0.1, 0.0)),
     "scalar": Case("tumbling, method scalar", tumbling, "scalar"),
     "twostep": Case("tumbling, method twostep", tumbling, "twostep"),
+    "center": Case("tumbling, no S, method center", without_S, "center"),
+    "gyro": Case("tumbling at 2 deg/s for an hour, method gyro", gyro, "gyro"),
     "recursive": Case("README's scenario, method recursive", as_it_is, "recursive"),
     "batch": Case("ST5, 15 min, method batch", as_it_is, "batch"),
+    "iterative": Case("ST5, 15 min, method iterative", as_it_is, "iterative"),
 }
+SPINNING = ("batch", "iterative")
 QUICK = ("readme", "slow", "scalar")
 
 
@@ -168,14 +190,14 @@ class Flown:
         self.tree = tomllib.loads(README.read_text(encoding="utf-8").split("```toml")[1].split("```")[0])
         case.change(self.tree)
         self.world: World | None = None
-        if case.method == "batch":
+        if case.method in SPINNING:
             segment = {"start_utc": "2006-04-15T00:00:00Z", "samples": 7200, "step_s": 0.125}
             self.spinner = mission.scenario().updated({"schedule.segments": [segment]})
             self.world = build_world(self.spinner)
 
     def __call__(self, seed: int) -> Answer:
         """Simulate, calibrate, compare."""
-        return self._spinning(seed) if self.case.method == "batch" else self._flying(seed)
+        return self._spinning(seed) if self.case.method in SPINNING else self._flying(seed)
 
     def _flying(self, seed: int) -> Answer:
         tree = copy.deepcopy({**self.tree, "seed": seed})
@@ -199,6 +221,9 @@ class Flown:
                 [truth.S.ravel(), b_nT, *([truth.T_nT_per_Am2.ravel()] if known.T_nT_per_Am2 is not None else [])]
             )
             return of_estimated(known.values - values, known.covariance, known.names)
+        if self.case.method == "gyro":
+            known = calibrate_gyro(telemetry.replace(mag_B_nT=B_nT), load_field("igrf14")).calibration
+            return without_scale(known, M, b_nT)
         rows = ScalarRows(
             time=telemetry.time,
             B_nT=B_nT,
@@ -213,7 +238,7 @@ class Flown:
         P, turn = V.T @ np.diag(s) @ V, U @ V
         error = np.concatenate([(known.S - (P - np.eye(3))).ravel(), known.b_nT - turn.T @ b_nT])
         once = [0, 4, 8, 1, 2, 5, 9, 10, 11]
-        return Answer(error[once], known.covariance[np.ix_(once, once)], tuple(known.names[k] for k in once))
+        return of_estimated(error[once], known.covariance[np.ix_(once, once)], tuple(known.names[k] for k in once))
 
     def _linear(self, telemetry: Telemetry, B_nT: np.ndarray) -> Fit:
         assert self.world is not None and telemetry.q_NB is not None
@@ -224,9 +249,21 @@ class Flown:
 
     def _spinning(self, seed: int) -> Answer:
         flight = mission.fly(self.spinner.updated({"seed": seed}), self.world)
-        known = fit_spin(assemble_spin(flight.telemetry, load_field("igrf14")), SpinOptions()).calibration
+        known = fit_spin(
+            assemble_spin(flight.telemetry, load_field("igrf14")), SpinOptions(method=self.case.method)
+        ).calibration
         error = known.values - np.concatenate([flight.truth.S.ravel(), flight.truth.b_nT])
         return of_estimated(error, known.covariance, known.names)
+
+
+def without_scale(known: Calibration, M: np.ndarray, b_nT: np.ndarray) -> Answer:
+    """Of b, and of S along eight directions without a trace: the scale common to all axes is not observable."""
+    scale = np.trace(M) / 3.0
+    e = known.values - np.concatenate([(M / scale - np.eye(3)).ravel(), b_nT / scale])
+    down = np.zeros((11, 12))
+    down[:8, :9], down[8:, 9:] = np.linalg.pinv(BASIS_S), np.eye(3)
+    names = (*(f"direction {k + 1} of S" for k in range(8)), *known.names[9:12])
+    return Answer(down @ e, down @ known.covariance @ down.T, names)
 
 
 def with_outliers(B_nT: np.ndarray, share: float, rng: np.random.Generator) -> np.ndarray:

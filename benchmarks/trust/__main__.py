@@ -5,6 +5,8 @@ python -m benchmarks.trust --quick         a little of each: does it still hold?
 python -m benchmarks.trust --mutants 200000 --only hostile
 python -m benchmarks.trust --only tests --record FILE    what benchmarks/mutants.py has found about the tests
 python -m benchmarks.trust --only reached --coverage FILE   what `coverage json` has found (CONTRIBUTING.md)
+python -m benchmarks.trust --only sigmas --sigmas FILE      what benchmarks/sigmas.py has found about the calibrations
+python -m benchmarks.trust --only answers    false alarms and printed sizes, from the log of benchmarks/withheld.py
 """
 
 from __future__ import annotations
@@ -27,6 +29,7 @@ from .harness import Row
 UNNOTICED = "small faults in sim, calib and gap that the nearest tests do not notice"
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "trust.md"
 LIST = PAGE.parent / "design" / "unnoticed.md"
+LOG = Path(__file__).resolve().parents[1] / "withheld.log"
 LISTED = """# Small faults that no test notices
 
 `benchmarks/mutants.py` puts one small fault at a time into the product and runs the nearest tests. These are the
@@ -42,8 +45,9 @@ others; a crash by a signal is noticed.
 
 - *While a file is written*: the old or the new file must be whole, with a message and exit 2, and nothing else left.
 - *Commit*: the one that was tried. A row that was not tried again keeps its own.
-- The last rows are about the tests: `benchmarks/mutants.py` puts one small fault at a time into the product
+- The rows on tests: `benchmarks/mutants.py` puts one small fault at a time into the product
   ([those not noticed](design/unnoticed.md)), and coverage.py counts what they reach, compiled code run as Python.
+- The rows on answers are counted from the newest frozen runs of `benchmarks/withheld.py` and from `benchmarks/sigmas.py`.
 
 | trial | how many | faults | wanted | found | commit |
 |---|---|---|---|---|---|
@@ -63,6 +67,8 @@ def sections(options: argparse.Namespace) -> dict[str, Callable[[Path], list[Row
         "same bits": lambda place: repeat.same_bits(place, quick=quick),
         "places": lambda place: [repeat.places(place, quick=quick)],
         **({"tests": lambda place: [unnoticed(options.record)]} if options.record else {}),
+        "answers": lambda place: [healthy(), sizes()],
+        **({"sigmas": lambda place: [pulls(options.sigmas)]} if options.sigmas else {}),
         **({"reached": lambda place: reached(options.coverage)} if options.coverage else {}),
     }
 
@@ -101,6 +107,52 @@ def reached(report: Path) -> list[Row]:
     return [row, said]
 
 
+def healthy() -> Row:
+    """False alarms on perfect flights."""
+    row, found = _logged(
+        "nulls", "no gap on a perfect simulation", "perfect flights that are not called so", "1 % at most"
+    )
+    alarms = {
+        one["figure"].split(": ")[1]: one["right"] for one in found if one["figure"].startswith("false alarms on")
+    }
+    named = ", ".join(f"{name}: {count}" for name, count in alarms.items() if count)
+    row.note = f"{len(alarms)} kinds of flight" + (f"; {named}" if named else "")
+    return row
+
+
+def sizes() -> Row:
+    """Printed smallest sizes, flown: are they detected nine times in ten?"""
+    figure = "printed smallest size, all of them: detected"
+    row, found = _logged("limits", figure, "effects of the printed smallest size that are not detected", "4 to 16 %")
+    each = {one["figure"].split(",")[0].split()[-1]: one for one in found if one["figure"].endswith("flown: detected")}
+    row.note = ", ".join(f"{name} {one['right']} of {one['of']} detected" for name, one in each.items())
+    return row
+
+
+def _logged(population: str, figure: str, name: str, reach: str) -> tuple[Row, list[dict[str, Any]]]:
+    """A row with what the newest frozen run of a population says of a figure, and all that it says."""
+    runs = [json.loads(line) for line in LOG.read_text(encoding="utf-8").splitlines()]
+    newest = [run for run in runs if population in run["counts"]][-1]
+    found = next(one for one in newest["rows"] if one["figure"] == figure)
+    row = Row(name, found["of"], reach=reach, commit=newest["commit"][:7])
+    row.faults = [figure] * (found["of"] - found["right"])
+    return row, newest["rows"]
+
+
+def pulls(report: Path) -> Row:
+    """Cases of benchmarks/sigmas.py that miss a limit."""
+    from .. import sigmas  # sets the threads of this process to one
+
+    cases = json.loads(report.read_text(encoding="utf-8"))["cases"]
+    row = Row("cases of calibrations whose sigmas miss a limit", len(cases), reach="0 cases")
+    for one in cases:
+        if missed := sigmas.misses(one):
+            row.fault(f"{one['words']}: {', '.join(missed)}")
+    fewest = min(one["seeds"] for one in cases)
+    row.note = f"at least {fewest} records each; [which, and by how much](calibration.md#the-sigmas)"
+    return row
+
+
 def measured(options: argparse.Namespace) -> Iterator[Row]:
     """The rows, one after the other."""
     for name, part in sections(options).items():
@@ -108,7 +160,7 @@ def measured(options: argparse.Namespace) -> Iterator[Row]:
             continue
         with TemporaryDirectory(prefix="fluxtwin-trust-") as folder:
             for row in part(Path(folder)):
-                row.commit = _commit()
+                row.commit = row.commit or _commit()
                 yield row
 
 
@@ -145,6 +197,7 @@ def main() -> int:
     parser.add_argument("--only", action="append", help="this part alone; repeatable")
     parser.add_argument("--record", type=Path, metavar="FILE", help="what benchmarks/mutants.py wrote")
     parser.add_argument("--coverage", type=Path, metavar="FILE", help="what `coverage json` wrote")
+    parser.add_argument("--sigmas", type=Path, metavar="FILE", help="what benchmarks/sigmas.py wrote")
     parser.add_argument("--json", type=Path, help="write the rows here")
     options = parser.parse_args()
     sizes = {

@@ -134,6 +134,40 @@ def test_files_can_be_trusted(tmp_path: Path) -> None:
     assert len(rows) == 1 + 1 + 1 + 1 + 6
 
 
+@pytest.mark.skipif(os.name != "posix", reason="fork and signals of POSIX")
+def test_what_frozen_runs_and_sigmas_have_found_is_counted(tmp_path: Path) -> None:
+    """The newest frozen run of each population counts; a case of the sigmas that misses a limit is a fault."""
+    cases = [
+        {"words": word, "seeds": 300, "nees": 1.0, "pull": {"b1": pull}, "share": {"b1": 0.95}}
+        for word, pull in (("good", 1.0), ("wide", 0.8))
+    ]
+    (tmp_path / "sigmas.json").write_text(json.dumps({"cases": cases}), encoding="utf-8")
+    target = tmp_path / "trust.json"
+    given = [
+        "--quick",
+        "--only=answers",
+        "--only=sigmas",
+        "--sigmas",
+        str(tmp_path / "sigmas.json"),
+        "--json",
+        str(target),
+    ]
+    done = subprocess.run(
+        [sys.executable, "-m", "benchmarks.trust", *given],
+        cwd=FOLDER.parent,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 1, done.stdout + done.stderr
+    nulls, sizes, of_sigmas = json.loads(target.read_text(encoding="utf-8"))["rows"]
+    runs = [json.loads(line) for line in (FOLDER / "withheld.log").read_text(encoding="utf-8").splitlines()]
+    for row, population in ((nulls, "nulls"), (sizes, "limits")):
+        newest = [run for run in runs if population in run["counts"]][-1]
+        assert row["trials"] == newest["counts"][population] and newest["commit"].startswith(row["commit"])
+    assert of_sigmas["trials"] == 2 and of_sigmas["faults"] == ["wide: pull"]
+
+
 @pytest.mark.parametrize(
     ("name", "option"),
     [

@@ -77,7 +77,7 @@ def temperature_K(setting: Setting, time_constant_s: float) -> FloatArray:
     """(N,) recorded temperature [degC], else a first-order lag behind sun and shadow of the standard swing.
 
     Where the record covers an orbit, the lag starts from the state that its first orbit, repeated for ever,
-    leads back to, so that there is no transient; else from the mean.
+    leads back to, so that there is no transient; else (or where a gap follows its first row) from the mean.
     """
     column = known_column(setting, "temperature_degC")
     if column is not None:
@@ -87,9 +87,8 @@ def temperature_K(setting: Setting, time_constant_s: float) -> FloatArray:
             del setting.lags_K[next(iter(setting.lags_K))]
         goal = STANDARD_SWING_K * lit(setting)
         seconds, period_s = setting.seconds, orbital_period_s(setting)
-        start = float(goal.mean())
-        if seconds[-1] >= period_s:
-            orbit = seconds <= period_s
+        start, orbit = float(goal.mean()), setting.seconds <= period_s
+        if seconds[-1] >= period_s and np.count_nonzero(orbit) > 1:
             kept = float(np.exp(-seconds[orbit][-1] / time_constant_s))
             end = float(relax(seconds[orbit], goal[orbit], time_constant_s, start=start)[-1])
             start = (end - kept * start) / (1.0 - kept)

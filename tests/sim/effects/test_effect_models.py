@@ -327,6 +327,14 @@ def test_temperature_without_a_column_is_the_periodic_answer_to_a_square_wave(cl
     close(found[0], STANDARD_SWING_K * low, atol=0.04, unit="K", because="the record starts where an orbit ends")
 
 
+def test_temperature_without_a_column_starts_from_the_mean_where_a_gap_follows_the_first_row() -> None:
+    """One row shows no orbit: the lag starts from the mean of sun and shadow, 0.75 of the swing."""
+    period = orbital_period_s(spinning(np.arange(10.0)).setting)
+    seconds = np.concatenate([[0.0], 2.0 * period + np.array([0.0, 10.0, 20.0])])
+    found = temperature_K(spinning(seconds, sunlit=np.array([0.0, 1.0, 1.0, 1.0])).setting, 60.0)
+    assert found[0] == 0.75 * STANDARD_SWING_K and (np.diff(found[1:]) > 0.0).all()
+
+
 def test_array_current_without_a_column_follows_the_cosine(close: Callable[..., None]) -> None:
     chain = spinning(np.arange(200) * 30.0, 0.01, sunlit=np.repeat([1.0, 0.0], 100))
     setting = chain.setting

@@ -173,7 +173,8 @@ def check_file(
     table, how = _read(path, column_map, tle, max_samples or MAX_SAMPLES, chosen)
     mapped = column_map is not None or bool(how)
     order = _order(table, "`sort = true` in the [[file]] of a column map" if mapped else "`--repair OUT`")
-    ordered = _ordered(table)[0]
+    ordered, left_out = _ordered(table)
+    order += [finding for finding in left_out if finding.severity == "trap"]
     shifted = check_columns(table)
     if shifted:
         return report(str(path), table.time.size, [*how, *order, *shifted])

@@ -440,7 +440,7 @@ def test_stamps_out_of_order_are_a_trap_and_repair_mends_them(model: FieldModel,
     with pytest.raises(BadInput, match="time does not increase"):
         read_telemetry(path)
     found = check_file(path, model)
-    assert {"time_not_increasing", "time_repeated"} <= {finding.code for finding in found.traps}
+    assert {"time_not_increasing", "time_repeated", "conflicting_rows"} <= {finding.code for finding in found.traps}
     before = path.read_bytes()
     mended = repair(path, tmp_path / "out.nc")
     by_code = {finding.code: finding for finding in mended.findings}

@@ -113,7 +113,8 @@ def check_telemetry(
     stuck, faulty = check_stuck(telemetry, origin)
     motion = check_motion(telemetry)
     findings = [*stuck, *motion, *check_readings(telemetry)]
-    if not any(finding.severity == "trap" and finding.code in POSITION_TRAPS for finding in motion):
+    lost = any(finding.severity == "trap" and finding.code in POSITION_TRAPS for finding in motion)
+    if not lost and (telemetry.has_reading & ~faulty).any():
         usable, against_field = _against_field(telemetry, model, origin or Origin(), ~faulty)
         if any(finding.code == "clock" and finding.severity == "trap" for finding in against_field):
             findings = [finding for finding in findings if finding.code != "sunlit_flag"]  # the sun is elsewhere, then

@@ -271,6 +271,7 @@ def test_a_trap_is_named(model: FieldModel, name: str) -> None:
     texts = [finding.text for finding in found.traps if finding.code == code]
     assert texts, [finding.code for finding in found.traps]
     assert any(words in text for text in texts), texts
+    assert "not_compared" not in {finding.code for finding in found.notes}, "it has positions"
     if code == "magnetometer_unit":
         assert len(found.traps) == 1, "a wrong unit must not be taken for other traps"
 

@@ -34,14 +34,18 @@ def check_stuck(telemetry: Telemetry, origin: Origin | None = None) -> tuple[lis
         value = mag[np.flatnonzero(good)[0]]
         return [trap("stuck_axis.always", axis="xyz"[axis], value=value[axis]) for axis in dead], good
     stuck = np.stack([_stuck(mag[:, [axis]], telemetry.time) for axis in range(3)], axis=1)
-    every = _stuck(mag, telemetry.time)
-    some: BoolArray = np.asarray(stuck.any(axis=1) | every)
+    filled = _filled(mag, good, origin or Origin())
+    every = _stuck(mag, telemetry.time) & ~filled
+    some: BoolArray = np.asarray(stuck.any(axis=1) | every | filled)
     findings = []
+    if filled.any():
+        words = fill_words(mag[filled], origin or Origin())
+        findings.append(trap("stuck_values.filled", np.flatnonzero(filled), count=filled.sum(), fill=words))
     if every.any():
         said = {"fill": fill_words(mag[every], origin or Origin()), **_lengths(every, telemetry.time)}
-        findings.append(trap("stuck_values", np.flatnonzero(every), **said))
+        findings.append(trap("stuck_values.at_times", np.flatnonzero(every), **said))
     for axis in range(3):
-        alone = stuck[:, axis] & ~every
+        alone = stuck[:, axis] & ~every & ~filled
         if alone.any():
             long = _lengths(alone, telemetry.time)
             findings.append(trap("stuck_axis.at_times", np.flatnonzero(alone), axis="xyz"[axis], **long))
@@ -50,9 +54,8 @@ def check_stuck(telemetry: Telemetry, origin: Origin | None = None) -> tuple[lis
 
 def fill_words(mag_nT: FloatArray, origin: Origin) -> str:
     """A sentence where one number stands on all axes in several of the rows (n, 3): no field does that."""
-    stored = mag_nT @ np.array(origin.matrix)  # its inverse is its transpose
-    alike = stored[np.ptp(stored, axis=1) <= 1e-9 * np.abs(stored).max(axis=1), 0]
-    values, counts = np.unique(np.round(alike, 6), return_counts=True)
+    alike = _on_all_axes(mag_nT, origin)
+    values, counts = np.unique(alike[np.isfinite(alike)], return_counts=True)
     if counts.max(initial=0) < 2:
         return ""
     value, count = float(values[np.argmax(counts)]), int(counts.max())
@@ -61,6 +64,29 @@ def fill_words(mag_nT: FloatArray, origin: Origin) -> str:
         key = f"{key} = [{value / origin.count_nT + 0.0:.10g}]"
     said = f"Of these, {count} have {value + 0.0:.10g} nT on all axes: a fill value"
     return f"{said}, then `mag` in a column map needs {key}. "
+
+
+def _on_all_axes(mag_nT: FloatArray, origin: Origin) -> FloatArray:
+    """(n,) the number [nT] that stands on all axes of readings (n, 3) as stored; NaN where they differ."""
+    stored = mag_nT @ np.array(origin.matrix)  # its inverse is its transpose
+    alike = np.ptp(stored, axis=1) <= 1e-9 * np.abs(stored).max(axis=1)
+    return np.where(alike, np.round(stored[:, 0], 6), np.nan)
+
+
+def _filled(mag_nT: FloatArray, good: BoolArray, origin: Origin) -> BoolArray:
+    """Rows (N,) with one number on all axes, the same in two rows or more, that lie farther from the nearest other rows
+    than any two neighbours among these lie apart."""
+    alike = _on_all_axes(mag_nT, origin)
+    values, counts = np.unique(alike[good & np.isfinite(alike)], return_counts=True)
+    filled = np.isin(alike, values[counts > 1])
+    rows, others = np.flatnonzero(filled), np.flatnonzero(good & ~filled)
+    steps = np.linalg.norm(np.diff(mag_nT[others], axis=0), axis=1)[np.diff(others) == 1]
+    if not rows.size or not steps.size:
+        return np.zeros_like(filled)
+    after = np.searchsorted(others, rows)
+    beside = others[np.clip([after - 1, after], 0, others.size - 1)]
+    filled[rows] = (np.linalg.norm(mag_nT[beside] - mag_nT[rows], axis=2) > steps.max()).all(axis=0)
+    return filled
 
 
 def least_step(mag: FloatArray) -> float:

@@ -114,8 +114,8 @@ def _in_words(place: str) -> str:
 def wrong_file(traps: Sequence[str], verdict: str, sentence: str) -> str:
     """Where `fluxtwin check` finds the file wrong. traps: what it says; verdict, sentence: what was found all the same."""
     wrong = ". Also: ".join(one.removesuffix(".") for one in traps)
-    rest = "A wrong file makes a gap of its own, so nothing more is said about the cause."
-    if verdict != "unknown":
+    rest = "A wrong file makes a gap of its own or hides one, so nothing more is said about the cause."
+    if verdict == "effect":
         rest = f"As the file stands, this was found. {sentence}"
     return f"{FIRST}, then diagnose again: {wrong}. {rest}"
 
@@ -242,10 +242,10 @@ def outliers(time: TimeArray, cut: BoolArray) -> str:
 
 
 def stuck(time: TimeArray, rows: BoolArray) -> str:
-    """How many rows (N,) were left out because a reading repeats to the last digit, and when."""
+    """How many rows (N,) have a reading that repeats to the last digit, or a fill value, and were left out, and when."""
     where = np.flatnonzero(rows)
     first, last = (epoch.iso(time[row]) for row in (where[0], where[-1]))
-    return f"{where.size} rows have a stuck reading, from {first} to {last}, and were excluded"
+    return f"{where.size} rows have a stuck reading or a fill value, from {first} to {last}, and were excluded"
 
 
 def assumed(values: Mapping[str, Mapping[str, Any]]) -> str:

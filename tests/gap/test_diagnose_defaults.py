@@ -175,8 +175,19 @@ def test_a_stuck_axis_is_a_finding_and_no_effect(record: Telemetry) -> None:
     reading[600:780, 1] = reading[600, 1]
     found = asked(record.replace(mag_B_nT=reading), DECLARED)
     assert found.verdict == "unknown" and not found.effects and found.where.stage == "telemetry"
-    assert "180 rows have a stuck reading, from 2026-03-01T01:40:00" in found.sentence
+    assert "180 rows have a stuck reading or a fill value, from 2026-03-01T01:40:00" in found.sentence
     assert "apart from these rows there is no gap" in found.sentence
+
+
+@pytest.mark.parametrize("rows", [4, 8])
+def test_a_few_fill_values_on_end_are_no_noise(record: Telemetry, rows: int) -> None:
+    """More than a median over seven rows passes over, fewer than make a stuck reading."""
+    reading = np.array(record.mag_B_nT)
+    reading[600 : 600 + rows] = -9999.0
+    found = asked(record.replace(mag_B_nT=reading))
+    assert not found.effects and f"{rows} rows have a stuck reading or a fill value" in found.sentence
+    assert "apart from these rows there is no gap" in found.sentence
+    assert found.assumed["attitude_sigma_deg"]["value"] < 1.0
 
 
 def test_more_noise_than_declared_is_never_no_gap(record: Telemetry) -> None:

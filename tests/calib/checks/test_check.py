@@ -611,7 +611,7 @@ def test_a_number_on_all_axes_is_called_a_fill_value_with_the_line_for_it(
     path = write_telemetry(record.replace(mag_B_nT=mag / 10.0), tmp_path / "t.csv")
     (tmp_path / "m.toml").write_text(column_map(mag="scale = 10"), encoding="utf-8")
     (found,) = check_file(path, model, column_map=tmp_path / "m.toml").traps
-    assert found.code == "outliers" and f"Of these, 4 have {10 * count} nT on all axes" in found.text
+    assert found.code == "stuck_values" and f"Of these, 4 have {10 * count} nT on all axes" in found.text
     line = found.text.partition("`mag` in a column map needs ")[2].partition(". ")[0]
     assert line == f"{key} = [{count}]"
     (tmp_path / "m.toml").write_text(column_map(mag=f"scale = 10, {line}"), encoding="utf-8")

@@ -138,7 +138,11 @@ def diagnose(
         _corrected(record),
         *found.notes,
         stuck if stuck is not None else input_warnings.stuck_and_misfit(record, found.gap.before_nT),
-        input_warnings.far_below_budget(found.gap.before_nT, found.gap.floor_nT),
+        input_warnings.far_below_budget(
+            found.gap.before_nT,
+            found.gap.floor_nT,
+            budget.noise_nT is not None or budget.attitude_sigma_rad is not None,
+        ),
     ]
     facts = dict(found.provenance)
     if found.closure is not None:

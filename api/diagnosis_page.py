@@ -216,8 +216,8 @@ def second_lines(diagnosis: Diagnosis) -> list[str]:
 
 
 def _wrong_file(diagnosis: Diagnosis) -> bool:
-    """Whether the cause is unknown and `fluxtwin check` finds the file wrong: what else was found may be of that alone."""
-    return diagnosis.verdict == "unknown" and diagnosis.sentence.startswith(FIRST)
+    """Whether no cause is named and `fluxtwin check` finds the file wrong: what else was found may be of that alone."""
+    return diagnosis.verdict != "effect" and diagnosis.sentence.startswith(FIRST)
 
 
 def _where(diagnosis: Diagnosis) -> PageSection:

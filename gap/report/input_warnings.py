@@ -19,13 +19,15 @@ MISFIT = 0.05
 """Residual over field: a reference that is 3 degrees off."""
 
 
-def far_below_budget(before_nT: float, floor_nT: float) -> str | None:
-    """Words for a budget that promises far more noise than there is, or None."""
+def far_below_budget(before_nT: float, floor_nT: float, declared: bool) -> str | None:
+    """Words for a budget, declared or found, that promises far more noise than there is, or None."""
     if before_nT * ROOMY > floor_nT:
         return None
+    whose, mend = ("declared", "Correct") if declared else ("estimated", "Declare")
     return (
-        f"the residual is {before_nT:.1f} nT rms, but the declared noise and attitude error would give {floor_nT:.1f} nT: "
-        "they are too large and hide smaller effects. Correct --noise-nT and --attitude-sigma-deg, or leave them out"
+        f"the residual is {before_nT:.1f} nT rms, but the {whose} noise and attitude error would give {floor_nT:.1f} nT: "
+        f"they are too large and hide smaller effects. {mend} --noise-nT and --attitude-sigma-deg"
+        f"{', or leave them out' if declared else ''}"
     )
 
 

@@ -15,6 +15,7 @@ from jsonschema import Draft202012Validator
 from worlds import scenario_text
 
 from fluxtwin.gap.records.schema import diagnosis_schema
+from fluxtwin.gap.report import input_warnings, words
 from fluxtwin.sim.run.simulate import simulate
 from fluxtwin.sim.scenario.effect_sections import active_effects
 from fluxtwin.sim.scenario.scenario import load_scenario, parse_scenario
@@ -136,8 +137,8 @@ def test_a_late_clock_is_named_and_the_answer_keeps_the_contract(late: Case) -> 
 
 def test_the_page_stands_alone_and_answers_the_questions(late: Case) -> None:
     page = (late.folder / "a.html").read_text(encoding="utf-8")
-    for words in ("Where the gap lies", "Which effect causes it", "How far it shrinks", "What could not be tested"):
-        assert f">{words}</h2>" in page
+    for title in ("Where the gap lies", "Which effect causes it", "How far it shrinks", "What could not be tested"):
+        assert f">{title}</h2>" in page
     figures = re.findall('<figure id="([a-z_]+)">', page)
     assert figures == ["field", "gap_series", "drivers", "gap_spectra", "coverage"]
     assert page.count("data:image/png;base64,") == len(figures)
@@ -365,6 +366,18 @@ def test_a_number_that_means_nothing_is_refused(late: Case, cli: Cli, flag: str,
 def test_a_budget_far_too_large_is_said(late: Case, cli: Cli) -> None:
     result = cli("diagnose", late.folder / "late.csv", "--noise-nT", 5000, "--lsb-nT", 10, "--attitude-sigma-deg", 0.05)
     assert "they are too large" in " ".join((result.out + result.err).split())
+
+
+def test_a_wrong_file_without_a_gap_says_no_numbers_of_it() -> None:
+    """Microtesla as nT: S of a thousand takes up all but 60,000 nT, and the rest is noise."""
+    said = words.wrong_file(["the unit is wrong"], "no_gap", "No gap: the residual of the fit is 60862.8 nT.")
+    assert said.startswith(words.FIRST) and "No gap" not in said
+
+
+def test_a_noise_that_nobody_declared_is_not_called_declared() -> None:
+    found, given = (input_warnings.far_below_budget(50.0, 3000.0, declared) for declared in (False, True))
+    assert found is not None and "declared" not in found and "Declare --noise-nT" in found
+    assert given is not None and "declared noise" in given
 
 
 def test_a_wrong_unit_is_to_be_corrected_before_anything_is_flown(late: Case, cli: Cli, tmp_path: Path) -> None:

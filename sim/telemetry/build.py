@@ -192,20 +192,13 @@ def _check_quaternions(q: FloatArray | None, where: str) -> None:
     if q is None:
         return
     size = np.linalg.norm(q, axis=1)
-    zero = np.flatnonzero(size < 1e-8)
-    if zero.size:
-        raise BadInput(
-            f"the quaternion in row {zero[0] + 1} is zero ({zero.size} such row{'s' if zero.size > 1 else ''})",
-            where=where,
-            wanted="unit quaternions q_x q_y q_z q_w; leave the cells blank where the attitude is not known",
-        )
     off = np.flatnonzero(np.abs(size - 1.0) > NORM_TOLERANCE)
     if off.size:
         raise BadInput(
             f"the quaternion in row {off[0] + 1} has norm {size[off[0]]:.6g} ({off.size} such"
             f" row{'s' if off.size > 1 else ''})",
             where=where,
-            wanted=f"unit quaternions, norm 1 within {NORM_TOLERANCE:g}",
+            wanted=f"unit quaternions, norm 1 within {NORM_TOLERANCE:g}; blank cells where the attitude is not known",
         )
 
 

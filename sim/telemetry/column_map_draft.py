@@ -316,6 +316,7 @@ def _quantities(header: Header, free: list[str], *, by_size: bool) -> list[_Foun
             out.append((quantity, columns, keys, [f"{quantity}: that {said}", *doubts]))
     if not any(one[0] == "position" for one in out):
         out += _place(header, ours)
+    out = [_with_fills(header, *one) for one in out]
     taken = {name for _, columns, _, _ in out for name in columns}
     wheels = [name for name in free if name not in taken and _WHEEL.search(name.lower()) and _is_number(header, name)]
     if wheels:
@@ -425,6 +426,25 @@ def _current(header: Header, name: str) -> _Found:
     return f"driver_{plain}", [name], keys, []
 
 
+def _with_fills(
+    header: Header, quantity: str, columns: list[str], keys: dict[str, object], doubts: list[str]
+) -> _Found:
+    """The same with the fill values that stand in its columns."""
+    stacked = _stacked(header, columns)
+    fill = [value for value in _FILLS if _stands_out(stacked, value)]
+    alike, count = np.unique(stacked[np.ptp(stacked, axis=1) == 0.0, 0], return_counts=True)
+    if quantity == "mag" and count.max(initial=0) > 2 and alike[np.argmax(count)] not in fill:
+        fill.append(float(alike[np.argmax(count)]))
+    if not fill:
+        return quantity, columns, keys, doubts
+    return (
+        quantity,
+        columns,
+        keys | {"fill": fill},
+        [*doubts, f"{quantity}: that {', '.join(map(repr, fill))} means missing"],
+    )
+
+
 def _place(header: Header, free: list[str]) -> list[_Found]:
     """A position by latitude, longitude and height, if names say so."""
     found: list[str] = []
@@ -437,9 +457,7 @@ def _place(header: Header, free: list[str]) -> list[_Found]:
     frame = "geocentric" if "radius" in found[2].lower() else "geodetic"
     unit = "m" if size > 1e5 else "km"
     doubts = [f"position: {frame} (geodetic: latitude and altitude above WGS 84; geocentric: radius) in {unit}"]
-    fill = [value for value in _FILLS if _stands_out(_stacked(header, found), value)]
-    doubts += [f"position: that {', '.join(map(repr, fill))} means missing"] if fill else []
-    return [("position", found, {"unit": unit, "frame": frame} | ({"fill": fill} if fill else {}), doubts)]
+    return [("position", found, {"unit": unit, "frame": frame}, doubts)]
 
 
 def _triples(header: Header, free: list[str]) -> list[list[str]]:
@@ -538,14 +556,6 @@ def _vector(header: Header, quantity: str, columns: list[str]) -> _Found:
             counts = ", counts by their name: then add scale and offset" if _COUNTS.search(columns[0]) else counts
             why = f"median size {size:.4g}{counts}"
             doubts.append(f"{quantity}: the unit ({why})")
-    stacked = _stacked(header, columns)
-    fill = [value for value in _FILLS if _stands_out(stacked, value)]
-    alike, count = np.unique(stacked[np.ptp(stacked, axis=1) == 0.0, 0], return_counts=True)
-    if quantity == "mag" and count.max(initial=0) > 2 and alike[np.argmax(count)] not in fill:
-        fill.append(float(alike[np.argmax(count)]))
-    if fill:
-        keys["fill"] = fill
-        doubts.append(f"{quantity}: that {', '.join(map(repr, fill))} means missing")
     if quantity in ("position", "velocity"):
         frame = _frame(_stem(columns))
         by_receiver = re.search(r"gps|gnss", " ".join([header.sheet or header.path.stem, *columns]).lower())

@@ -430,6 +430,16 @@ def test_fill_values_are_guessed(tmp_path: Path) -> None:
     assert list(np.flatnonzero(~read_telemetry(tmp_path / "a.csv", column_map=tmp_path / "m.toml").has_reading)) == [3]
 
 
+def test_a_fill_value_of_a_quaternion_is_guessed_too(tmp_path: Path) -> None:
+    rows = [
+        f"2026-03-01T00:00:0{k}Z,2e4,1,-3e4,{'-9999,-9999,-9999,-9999' if k == 3 else '0,0.6,0,0.8'}" for k in range(9)
+    ]
+    (tmp_path / "a.csv").write_text("\n".join(["t,bx_nT,by_nT,bz_nT,q_x,q_y,q_z,q_w", *rows, ""]), encoding="utf-8")
+    (tmp_path / "m.toml").write_text(draft([tmp_path / "a.csv"]), encoding="utf-8")
+    found = read_telemetry(tmp_path / "a.csv", column_map=tmp_path / "m.toml")
+    assert found.q_NB is not None and found.q_NB[3] == pytest.approx([0.0, 0.6, 0.0, 0.8]), "interpolated"
+
+
 @pytest.mark.parametrize(("size", "unit"), [(0.2, "Am2"), (200.0, "mAm2")])
 def test_a_dipole_that_no_small_torquer_has_is_in_thousandths(tmp_path: Path, size: float, unit: str) -> None:
     rows = [f"2026-03-01T00:00:{second:02d}Z,{size},0,{-size}" for second in range(60)]

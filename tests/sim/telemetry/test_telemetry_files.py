@@ -283,7 +283,7 @@ FAULTS: dict[str, tuple[Callable[[list[str]], list[str]], str]] = {
     "metres": (lambda x: [s.replace("7168.1", "7168100.0") for s in x], "positions look like metres"),
     "zero quaternion": (
         lambda x: [s.replace(",2,1e4,-2e4,3.5e4,0,0,0,1", ",2,1,1,1,0,0,0,0") for s in x],
-        "the quaternion in row 3 is zero",
+        "in row 3 has norm 0 (1 such row). Wanted: unit quaternions, norm 1 within 0.001; blank cells where",
     ),
     "long quaternion": (lambda x: [s.replace(",0,0,0,1", ",0,0,0,1.01") for s in x], "in row 1 has norm 1.01"),
     "flag of 2": (lambda x: [x[0] + ",sunlit", *(s + ",2" for s in x[1:])], "sunlit is 2 in row 1"),

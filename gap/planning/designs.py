@@ -107,7 +107,7 @@ def _attitudes(
     for kind in limits.attitudes:
         if kind == "nadir":
             kept = {} if as_flown is None else as_flown.model_dump(exclude_defaults=True, exclude={"reference"})
-            yield kind, "nadir, longer" if as_flown is None else "nadir as before", kept
+            yield kind, "nadir pointing", kept
         elif kind == "yaw_slews":
             yield kind, f"yaw slews at up to {rate:.2g} deg/s", _slews([(90.0, 0.0, 0.0)] * 4, rate, hours)
         elif kind == "slews":

@@ -121,7 +121,7 @@ def test_what_halves_the_worst_sigma_of_a_calibration(calibrated: Path, folder: 
     flags = ("--for", "calibration", "--attitude-tau-s", 100, "--limits", folder / "limits.toml")
     done = cli("plan", calibrated, *FLAGS, *flags, "--out", out, "--json", said, "--html", folder / "calibration.html")
     plain = json.loads(said.read_text(encoding="utf-8"))
-    best, nadir = plain["courses"][0], next(one for one in plain["courses"] if one["words"] == "nadir as before")
+    best, nadir = plain["courses"][0], next(one for one in plain["courses"] if one["words"] == "nadir pointing")
     assert done.status == 0 and best["words"] == "tumble of 0.5 deg/s"
     assert best["sigma"] < 0.5 * plain["sigma"] and best["sigma"] < 0.5 * nadir["sigma"]
     real = fluxtwin.load_scenario(folder / "real.toml").magnetometer

@@ -91,7 +91,7 @@ class Resolution:
         if not self.unknown:
             return []
         more = f" and {len(self.unknown) - 8} more" if len(self.unknown) > 8 else ""
-        shown = ", ".join(clip(name) for name in self.unknown[:8])
+        shown = ", ".join(clip(name) or "one without a name" for name in self.unknown[:8])
         return [f"columns that are not in the contract were left out: {shown}{more}"]
 
 

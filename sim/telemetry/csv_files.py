@@ -142,7 +142,7 @@ class CsvFile:
         return BadInput(
             f"{clip(name)} in row {row + 1} is {clip(text, 30)!r}, which is no number",
             where=self.where,
-            wanted="plain decimal numbers; blank or NaN where a value is missing",
+            wanted="plain decimal numbers in every row below the header; blank or NaN where a value is missing",
         )
 
 

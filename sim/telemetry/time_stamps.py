@@ -68,12 +68,14 @@ def parse_iso(
 
 
 def _other_form(stamp: str, column: str) -> str:
-    """The recipe of a column map that reads a stamp of another usual form; empty where none does."""
+    """The recipe of a column map that reads a stamp of another usual form, or where to get one."""
     from fluxtwin.sim.telemetry.column_map_draft_time import text_format
 
+    if _STAMP.fullmatch(stamp):
+        return f", of a day that exists and a year from {_FIRST_YEAR} to {_LAST_YEAR}"
     found = text_format({column: [stamp]})
     if found is None:
-        return ""
+        return ", or a column map (--map; `fluxtwin map` drafts one)"
     columns = ", ".join(f'"{name}"' for name in column.split(" and "))
     return f'; or in a column map: time = {{ recipe = "text", columns = [{columns}], format = "{found[1]}" }}'
 

@@ -209,7 +209,7 @@ def test_a_second_sensor_is_taken_in_and_the_readings_of_the_first_in_other_axes
 def test_a_draft_is_written_whatever_is_understood_and_says_what_to_fill_in(tmp_path: Path) -> None:
     data = table(tmp_path / "a.csv", {"time": UNIX, "volts": UNIX * 0.0})
     text = draft([data])
-    assert 'recipe = "unix_s"' in text and f"{CONFIRM} no three columns look like a magnetometer" in text
+    assert 'recipe = "unix_s"' in text and f"{CONFIRM} no three columns of numbers look like a magnetometer" in text
     assert "# not used: volts" in text
     shuffled = {"n": np.random.default_rng(1).permutation(UNIX), **triple("mag_x mag_y mag_z", MAG)}
     text = draft([table(tmp_path / "b.csv", shuffled)])

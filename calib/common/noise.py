@@ -31,6 +31,7 @@ from fluxtwin.sim.base.types import FloatArray, TimeArray
 
 _SMALLEST_LSB_NT = 1e-3
 _FEWEST_PAIRS = 30
+_TOO_FEW = "too few neighbouring samples to tell noise from other errors: all of the residual"
 _FIRST, _SECOND = ([pair[side] for pair in PAIRS] for side in (0, 1))
 _ROUNDS = 3
 
@@ -79,24 +80,24 @@ def reading_noise(
     if declared is not None:
         return declared
     reference, r = design.H_nT[some], residual_nT[some]
+    unit = reference / np.maximum(np.linalg.norm(reference, axis=1), 1e-9)[:, None]
+    along = np.einsum("ij,ij->i", r, unit)
+    whole_nT2 = clipped_sigma(along) ** 2 * len(r) / max(len(r) - 4, 1)
     first, differences = _differences(r, design.time[some])
     if len(differences) < _FEWEST_PAIRS:
-        return ReadingNoise(lsb**2 / 12.0, f"{lsb_words}; too few neighbouring samples to find the noise beyond it")
+        return _all_noise(whole_nT2, lsb, f"{lsb_words}; {_TOO_FEW} along the field is taken for noise")
     variance, covariance = _fit_variances(reference[first], reference[first + 1], differences)
     # The reading cannot be noisier than the whole residual of its axis.
     variance = np.minimum(variance, np.array([clipped_sigma(r[:, axis]) for axis in range(3)]) ** 2)
-    unit = reference / np.maximum(np.linalg.norm(reference, axis=1), 1e-9)[:, None]
-    along = np.einsum("ij,ij->i", r, unit)
     step_nT2 = 0.5 * clipped_sigma(along[first + 1] - along[first]) ** 2
     variance = variance * min(1.0, step_nT2 / max(float(((unit**2) @ variance).mean()), 1e-300))
     variance = np.maximum(variance, lsb**2 / 12.0)
     # Of the residual along the field, what neighbours share.
-    whole_nT2 = clipped_sigma(along) ** 2 * len(r) / max(len(r) - 4, 1)
     hidden = max(0.0, whole_nT2 - float(((unit**2) @ variance).mean()))
     # Anything from none of it to all of it may be noise of the reading: a uniform law of that width.
     covariance = covariance + np.full((3, 3), hidden**2 / 12.0)
     sigma = np.sqrt(variance)
-    unsure = np.sqrt(np.diag(covariance)) / (2.0 * np.maximum(sigma, 1e-9))
+    unsure = np.sqrt(variance + np.sqrt(np.diag(covariance))) - sigma
     sizes = " / ".join(measured(float(s), float(u)) for s, u in zip(sigma, unsure, strict=True))
     words = f"{sizes} nT per axis, taken as white, from short differences of the residual; {lsb_words}"
     return ReadingNoise(variance, words, covariance)
@@ -118,19 +119,24 @@ def scalar_noise(
     declared, lsb, words = _declared(B_nT[some], noise_nT, lsb_nT)
     if declared is not None:
         return declared
-    floor = lsb**2 / 12.0
     r, step = residual_nT[some], np.diff(time[some]).astype("int64")
     near = np.flatnonzero(step <= 1.5 * np.median(step)) if step.size else np.zeros(0, dtype=int)
-    if near.size < _FEWEST_PAIRS:
-        return ReadingNoise(floor, f"{words}; too few neighbouring samples to find the noise beyond it")
     whole = clipped_sigma(r) ** 2
+    if near.size < _FEWEST_PAIRS:
+        scaled = whole * len(r) / max(len(r) - 9, 1)
+        return _all_noise(scaled, lsb, f"{words}; {_TOO_FEW} of |B| is taken for noise")
     white = min(0.5 * clipped_sigma(np.diff(r)[near]) ** 2, whole)
-    variance = np.maximum(np.full(3, white), floor)
+    variance = np.maximum(np.full(3, white), lsb**2 / 12.0)
     hidden = max(0.0, whole * len(r) / max(len(r) - 9, 1) - white)
     spread = np.full((3, 3), hidden**2 / 12.0 + 3.0 * white**2 / near.size)
     size = plain(float(np.sqrt(white)))
     text = f"{size} nT per axis from short differences of the residual of |B|, taken as equal; {words}"
     return ReadingNoise(variance, text, spread)
+
+
+def _all_noise(variance_nT2: float, lsb_nT: FloatArray, words: str) -> ReadingNoise:
+    """Noise of that variance, alike on the axes, of which anything from none to all may be something else."""
+    return ReadingNoise(np.maximum(variance_nT2, lsb_nT**2 / 12.0), words, np.full((3, 3), variance_nT2**2 / 12.0))
 
 
 def _declared(

@@ -149,7 +149,9 @@ def draft(paths: Sequence[Path | str]) -> str:
         parts.insert(2, f'{CONFIRM} {missing} `tle = "satellite.tle"`{here}')
     if "mag" not in seen:
         mag = 'mag = { from = ["a", "b", "c"], unit = "nT" }'
-        parts.insert(2, f"{CONFIRM} no three columns of numbers look like a magnetometer: write `{mag}` with its [file.columns]")
+        parts.insert(
+            2, f"{CONFIRM} no three columns of numbers look like a magnetometer: write `{mag}` with its [file.columns]"
+        )
     return "\n".join(parts) + "\n"
 
 

@@ -7,6 +7,7 @@ sqrt(2/R) (fully correlated parameters); bands are three of those about 1 unless
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import numpy as np
@@ -177,12 +178,23 @@ def test_noise_that_differs_between_axes_is_found(seasat: Any) -> None:
 
 @pytest.mark.parametrize("rows", [30, 31])
 def test_thirty_differences_are_enough_to_find_the_noise(seasat: Any, rows: int) -> None:
-    """Uniform, 50 nT rms, so that no difference stands out; of thirty, sigma scatters by 16 %: within three of those."""
+    """Uniform, 50 nT rms, so that no difference stands out; of thirty, sigma scatters by 16 %: within three of those. Of
+    fewer it is taken from the residual along the field, and is as good as unknown, not nothing."""
     field = seasat.field_B_nT[:: 325 // rows][:rows]
     residual = 50.0 * np.sqrt(3.0) * np.random.default_rng(61).uniform(-1.0, 1.0, (rows, 3))
     noise = reading_noise(rows_at(np.arange(float(rows)), field, field), residual, None, None)
     assert ("too few neighbouring samples" in noise.source) == (rows == 30)
-    assert rows == 30 or abs(np.sqrt(noise.variance_nT2.mean()) / 50.0 - 1.0) < 0.5
+    assert abs(np.sqrt(noise.variance_nT2.mean()) / 50.0 - 1.0) < 0.5
+    assert rows == 31 or np.sqrt(noise.covariance[0, 0]) > 0.25 * noise.variance_nT2[0]
+
+
+def test_a_noise_of_next_to_nothing_has_a_sigma_of_its_size(seasat: Any) -> None:
+    """Of a residual without noise on one axis the least squares give zero, whose square root has no slope to speak of."""
+    field, rng = seasat.field_B_nT, np.random.default_rng(62)
+    residual = rng.standard_normal((len(field), 3)) * [30.0, 30.0, 0.0]
+    noise = reading_noise(rows_at(np.arange(float(len(field))), field, field), residual, None, None)
+    sigmas = [float(one) for one in re.findall(r"± ([\d.e+]+)", noise.source)]
+    assert len(sigmas) == 3 and max(sigmas) < 60.0, noise.source
 
 
 def test_noise_that_lasts_is_counted_as_unknown(seasat: Any) -> None:

@@ -15,7 +15,7 @@ import numpy as np
 
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.types import FloatArray
-from fluxtwin.sim.telemetry.column_map_draft_header import Header, headers_of
+from fluxtwin.sim.telemetry.column_map_draft_header import FILLS, Header, fill_values, headers_of
 from fluxtwin.sim.telemetry.column_map_draft_time import falls, recipe
 from fluxtwin.sim.telemetry.column_map_words import POSITIONS, canonical
 from fluxtwin.sim.telemetry.formats.catalogue import READ, format_of
@@ -120,8 +120,6 @@ nearby. Of position or sun it leaves 0.03 to 0.8 in the packaged scenarios."""
 _FEWEST = 50  # rows, for twelve unknowns
 _ELEMENTS = (".tle", ".3le")
 _TABLES = (".csv", ".csv.gz", ".nc", ".nc4", ".h5", *READ)
-_FILLS = (-9999.0, -99999.0, -999.0, 9999.0, 99999.0, 65535.0, 32767.0, -32768.0, 1e31, -1e31)
-"""What programs write where there is nothing."""
 
 
 def draft(paths: Sequence[Path | str]) -> str:
@@ -150,7 +148,7 @@ def draft(paths: Sequence[Path | str]) -> str:
     if "mag" not in seen:
         mag = 'mag = { from = ["a", "b", "c"], unit = "nT" }'
         parts.insert(
-            2, f"{CONFIRM} no three columns of numbers look like a magnetometer: write `{mag}` with its [file.columns]"
+            2, f"{CONFIRM} no three columns of numbers look like a magnetometer: write `{mag}` in [file.columns]"
         )
     return "\n".join(parts) + "\n"
 
@@ -273,9 +271,7 @@ def _left(header: Header, columns: list[str], others: list[str]) -> tuple[float,
     """
     one, two = (_stacked(header, names) for names in (columns, others))
     both = (
-        np.isfinite(one).all(axis=1)
-        & np.isfinite(two).all(axis=1)
-        & ~np.isin(np.hstack([one, two]), _FILLS).any(axis=1)
+        np.isfinite(one).all(axis=1) & np.isfinite(two).all(axis=1) & ~np.isin(np.hstack([one, two]), FILLS).any(axis=1)
     )
     if both.sum() < _FEWEST:
         return 0.0, np.inf
@@ -318,7 +314,7 @@ def _quantities(header: Header, free: list[str], *, by_size: bool) -> list[_Foun
             out.append((quantity, columns, keys, [f"{quantity}: that {said}", *doubts]))
     if not any(one[0] == "position" for one in out):
         out += _place(header, ours)
-    out = [_with_fills(header, *one) for one in out]
+    out = [_with_fills(header, one) for one in out]
     taken = {name for _, columns, _, _ in out for name in columns}
     wheels = [name for name in free if name not in taken and _WHEEL.search(name.lower()) and _is_number(header, name)]
     if wheels:
@@ -428,23 +424,13 @@ def _current(header: Header, name: str) -> _Found:
     return f"driver_{plain}", [name], keys, []
 
 
-def _with_fills(
-    header: Header, quantity: str, columns: list[str], keys: dict[str, object], doubts: list[str]
-) -> _Found:
+def _with_fills(header: Header, one: _Found) -> _Found:
     """The same with the fill values that stand in its columns."""
-    stacked = _stacked(header, columns)
-    fill = [value for value in _FILLS if _stands_out(stacked, value)]
-    alike, count = np.unique(stacked[np.ptp(stacked, axis=1) == 0.0, 0], return_counts=True)
-    if quantity == "mag" and count.max(initial=0) > 2 and alike[np.argmax(count)] not in fill:
-        fill.append(float(alike[np.argmax(count)]))
-    if not fill:
-        return quantity, columns, keys, doubts
-    return (
-        quantity,
-        columns,
-        keys | {"fill": fill},
-        [*doubts, f"{quantity}: that {', '.join(map(repr, fill))} means missing"],
-    )
+    quantity, columns, keys, doubts = one
+    if not (fill := fill_values(_stacked(header, columns), alike=quantity == "mag")):
+        return one
+    doubt = f"{quantity}: that {', '.join(map(repr, fill))} means missing"
+    return quantity, columns, keys | {"fill": fill}, [*doubts, doubt]
 
 
 def _place(header: Header, free: list[str]) -> list[_Found]:
@@ -572,13 +558,6 @@ def _size(header: Header, columns: list[str]) -> float:
     """Median length of a vector; NaN where there is none."""
     length = np.linalg.norm(_stacked(header, columns), axis=1)
     return float(np.median(length[np.isfinite(length)])) if np.isfinite(length).any() else float("nan")
-
-
-def _stands_out(stacked: FloatArray, value: float) -> bool:
-    """Whether all components (n, k) of a row have that value, or one has it beyond all else in its column."""
-    at = stacked == value
-    beyond = abs(value) > np.nanmax(np.abs(np.where(at, 0.0, stacked)), axis=0, initial=0.0)
-    return bool(at.all(axis=1).any() or (at.any(axis=0) & beyond).any())
 
 
 def _stated_unit(header: Header, quantity: str, columns: list[str]) -> str | None:

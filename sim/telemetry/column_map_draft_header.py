@@ -20,6 +20,8 @@ from fluxtwin.sim.telemetry.formats.table import Table
 from fluxtwin.sim.telemetry.netcdf_files import NetcdfFile
 from fluxtwin.sim.telemetry.telemetry_files import refuse_toml
 
+FILLS = (-9999.0, -99999.0, -999.0, 9999.0, 99999.0, 65535.0, 32767.0, -32768.0, 1e31, -1e31)
+"""What programs write where there is nothing."""
 _SAMPLE = 2000
 
 
@@ -127,3 +129,19 @@ def _netcdf_header(path: Path, opened: NetcdfFile) -> Header:
             header.values[name] = value[:_SAMPLE]
             header.rows = max(header.rows, len(value))
     return header
+
+
+def fill_values(stacked: FloatArray, *, alike: bool) -> list[float]:
+    """The values that seem to mean "missing" in columns (n, k); alike: also one that is in all of them more than twice."""
+    found = [value for value in FILLS if _stands_out(stacked, value)]
+    values, count = np.unique(stacked[np.ptp(stacked, axis=1) == 0.0, 0], return_counts=True)
+    if alike and count.max(initial=0) > 2 and values[np.argmax(count)] not in found:
+        found.append(float(values[np.argmax(count)]))
+    return found
+
+
+def _stands_out(stacked: FloatArray, value: float) -> bool:
+    """Whether all components (n, k) of a row have that value, or one has it beyond all else in its column."""
+    at = stacked == value
+    beyond = abs(value) > np.nanmax(np.abs(np.where(at, 0.0, stacked)), axis=0, initial=0.0)
+    return bool(at.all(axis=1).any() or (at.any(axis=0) & beyond).any())

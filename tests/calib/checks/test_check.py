@@ -454,6 +454,15 @@ def test_stamps_out_of_order_are_a_trap_and_repair_mends_them(model: FieldModel,
     assert check_file(tmp_path / "out.nc", model).exit_status == 0
 
 
+def test_without_positions_a_smooth_course_is_not_called_rough(model: FieldModel) -> None:
+    """|B| of a healthy record, of 25 nT noise and a row in 30 s, curves by more than its noise."""
+    record = good(model, mode="tumble")
+    field = frames.rotation_from_q(record.q_NB).apply(field_N_nT(model, record.time, record.r_N_km))
+    noisy = field + np.random.default_rng(3).normal(0.0, 25.0, field.shape)
+    blind = record.replace(mag_B_nT=noisy, r_N_km=None, v_N_km_s=None)
+    assert "rough_readings" not in {finding.code for finding in check_telemetry(blind, model).findings}
+
+
 def test_repair_never_writes_over_its_input(model: FieldModel, tmp_path: Path) -> None:
     path = write_telemetry(good(model, 5), tmp_path / "a.csv")
     with pytest.raises(BadInput, match="would overwrite the input"):

@@ -98,7 +98,7 @@ def test_a_clock_that_no_known_shift_explains_is_given_as_it_is(
     (found,) = checked(case, model, tmp_path).traps
     assert found.code == "clock"
     assert f"{abs(minutes)} min too {'late' if minutes > 0 else 'early'}" in found.text
-    assert "clock that is off" in found.text
+    assert "a clock or a date (4 min a day) that is off" in found.text
 
 
 def test_a_shift_that_is_said_to_show_is_named(model: FieldModel, tmp_path: Path) -> None:

@@ -81,7 +81,10 @@ def reading_of(options: dict[str, Any]) -> Reading:
 
 def as_calibration(calibration: Calibration | Path | str) -> Calibration:
     """A calibration, read first where a file is named."""
-    return calibration if isinstance(calibration, Calibration) else Calibration.from_toml(calibration)
+    if isinstance(calibration, Calibration):
+        return calibration
+    wanted = "the `.calibration` of a fit, or the path of the file of one"
+    return Calibration.from_toml(as_path(calibration, "calibration", wanted))
 
 
 @with_reading

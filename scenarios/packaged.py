@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fluxtwin.sim.base.errors import BadInput, nearest
+from fluxtwin.sim.telemetry.telemetry_files import as_path
 
 if TYPE_CHECKING:
     from fluxtwin.sim.scenario.scenario import Scenario
@@ -22,7 +23,9 @@ NAMES = f"{', '.join(sorted(SCENARIOS)[:-1])} or {max(SCENARIOS)}"
 
 def as_scenario(scenario: Scenario | Path | str) -> Scenario:
     """A scenario, loaded first where a file or a name is given."""
-    return load_scenario(scenario) if isinstance(scenario, Path | str) else scenario
+    from fluxtwin.sim.scenario.scenario import Scenario
+
+    return scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
 
 
 def load_scenario(scenario: Path | str) -> Scenario:
@@ -33,8 +36,7 @@ def load_scenario(scenario: Path | str) -> Scenario:
     """
     from fluxtwin.sim.scenario import scenario as files
 
-    name = str(scenario)
-    path = Path(scenario)
+    name, path = str(scenario), as_path(scenario, "scenario", f"the path of a scenario as TOML, or {NAMES}")
     if path.exists() and not (path.is_dir() and name in SCENARIOS):
         return files.load_scenario(path)
     if name not in SCENARIOS:

@@ -78,7 +78,9 @@ def shifts_s(sample: Sample) -> dict[float, str]:
 def plain_shifts_s(origin: Origin) -> dict[float, str]:
     """Seconds without a known cause that stamps may be late by, and the words for each."""
     step, most = (STEP_S, 168) if origin.elements is None else (ELEMENTS_STEP_S, 120)
-    words = f"to within {shift_words(step)}; no time zone and no leap seconds: a clock or a date (4 min a day) that is off"
+    words = (
+        f"to within {shift_words(step)}; no time zone and no leap seconds: a clock or a date (4 min a day) that is off"
+    )
     return {sign * step * number: words for number in range(1, most + 1) for sign in (1, -1)}
 
 

@@ -116,7 +116,7 @@ class Options:
         for item in fields(self):
             option, choices, value = item.metadata["option"], item.metadata["choices"], getattr(self, item.name)
             if choices:
-                value = value.replace(" ", "")
+                value = str(value).replace(" ", "")
                 object.__setattr__(self, item.name, value)
                 if value not in choices:
                     whose = "" if item.name == "method" else f" with method {self.method}"

@@ -35,6 +35,7 @@ class Dataset(Protocol):
 
 Readable: TypeAlias = "Telemetry | Path | str | DataFrame | Dataset"
 """What a verb takes for telemetry."""
+_READABLE = "the path of a file, a fluxtwin.Telemetry, a pandas DataFrame or an xarray Dataset (docs/telemetry.md)"
 
 
 class Reading(TypedDict, total=False):
@@ -111,15 +112,15 @@ def _table(given: Any) -> Table:
     raise AssertionError
 
 
-def as_path(given: Any) -> Path:
-    """`given` as the path of a file; raises BadInput that says what it is instead, and the way from there to a record."""
+def as_path(given: Any, where: str = "telemetry", wanted: str = _READABLE) -> Path:
+    """`given` as the path of a file; raises BadInput that says what it is instead, and what is wanted in its place."""
     if isinstance(given, str | os.PathLike):
         return Path(given)
     kind = f"{type(given).__module__.partition('.')[0]} {type(given).__name__}"
     raise BadInput(
         f"an object of type {kind.removeprefix('builtins ')} was given",
-        where="telemetry",
-        wanted="the path of a file, a fluxtwin.Telemetry, a pandas DataFrame or an xarray Dataset (docs/telemetry.md)",
+        where=where,
+        wanted=wanted,
     )
 
 

@@ -7,6 +7,7 @@ import json
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -78,3 +79,23 @@ def test_an_unguarded_script_flies_an_ensemble_in_processes(tmp_path: Path) -> N
             [sys.executable, *words], cwd=tmp_path, input=fed, capture_output=True, text=True, timeout=240, check=False
         )
         assert done.stdout == "True\n", done.stderr
+
+
+@pytest.mark.parametrize(
+    ("call", "wanted"),
+    [
+        (lambda record, fit: fluxtwin.apply(record, fit), "Wanted: the `.calibration` of a fit, or the path"),
+        (lambda record, fit: fluxtwin.apply(record, np.eye(3)), "an object of type numpy ndarray was given"),
+        (
+            lambda record, fit: fluxtwin.calibrate(record, parameters=["b"]),
+            "is no choice of parameters. Wanted: b or b,S",
+        ),
+        (lambda record, fit: fluxtwin.simulate({"seed": 1}), "Wanted: the path of a scenario as TOML, or cubesat"),
+    ],
+)
+def test_an_object_of_another_kind_is_refused_in_words(call: Any, wanted: str) -> None:
+    record, _ = fluxtwin.simulate("cubesat")
+    fit = fluxtwin.calibrate(record)
+    with pytest.raises(fluxtwin.BadInput) as refused:
+        call(record, fit)
+    assert wanted in str(refused.value)

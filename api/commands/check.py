@@ -45,7 +45,7 @@ def command(
             raise BadInput(
                 "a file read through a column map cannot be repaired",
                 where="--repair",
-                wanted="--repair without --map, on a file that has the columns of the contract",
+                wanted="--repair without --map, on a file that has the columns of docs/telemetry.md",
             )
         if repair is not None and not reading.whole:
             raise BadInput("mends whole files", where="--repair", wanted="no --from, --to or --where with it")

@@ -265,7 +265,7 @@ def repair(path: Path | str, out: Path | str, *, max_samples: int | None = None)
     except BadInput:
         if recognised(path) is None:
             raise
-        wanted = "a file that has the columns of the contract"
+        wanted = "a file that has the columns of docs/telemetry.md"
         raise BadInput("a file read through a column map cannot be repaired", where=str(path), wanted=wanted) from None
     findings = _order(table, "`--repair OUT`")
     ordered, left_out = _ordered(table)

@@ -92,7 +92,7 @@ class Resolution:
             return []
         more = f" and {len(self.unknown) - 8} more" if len(self.unknown) > 8 else ""
         shown = ", ".join(clip(name) or "one without a name" for name in self.unknown[:8])
-        return [f"columns that are not in the contract were left out: {shown}{more}"]
+        return [f"columns of other names were left out (call one driver_NAME to test its field): {shown}{more}"]
 
 
 def resolve(names: Iterable[str], where: str, described: Mapping[str, str] | None = None) -> Resolution:

@@ -196,7 +196,7 @@ def test_a_last_row_without_line_end_is_left_out_with_a_notice(tmp_path: Path) -
 
 def test_unknown_columns_are_left_out_with_a_notice(tmp_path: Path) -> None:
     lines = [f"{line},{extra}" for line, extra in zip(plain_lines(), ["mood", "a", "b", "c", "d"], strict=True)]
-    assert "left out: mood" in read_telemetry(save(tmp_path, lines)).provenance["notices"]
+    assert "left out (call one driver_NAME to test its field): mood" in read_telemetry(save(tmp_path, lines)).provenance["notices"]
 
 
 @pytest.mark.parametrize(("unit", "factor"), [("nT", 1.0), ("mG", 100.0), ("uT", 1e3), ("T", 1e9)])

@@ -198,7 +198,7 @@ def _check_quaternions(q: FloatArray | None, where: str) -> None:
             f"the quaternion in row {off[0] + 1} has norm {size[off[0]]:.6g} ({off.size} such"
             f" row{'s' if off.size > 1 else ''})",
             where=where,
-            wanted=f"unit quaternions, norm 1 within {NORM_TOLERANCE:g}; blank cells where the attitude is not known",
+            wanted=f"unit quaternions, norm 1 within {NORM_TOLERANCE:g} (0.02 in a column map); blank where not known",
         )
 
 

@@ -484,7 +484,8 @@ def _angles(header: Header, free: list[str]) -> _Found | None:
     ]
     if not all(columns):
         return None
-    small = max(float(np.nanmax(np.abs(header.values[column]))) for column in columns) < 2.0 * np.pi
+    angles = _stacked(header, columns)
+    small = np.nanmax(np.where(angles < 0.0, 2.0 * np.abs(angles), angles)) < 2.0 * np.pi  # below zero they end at -pi
     unit = "rad" if small and not any("deg" in column.lower() for column in columns) else "deg"
     keys: dict[str, object] = {"euler": "ZYX", "unit": unit, "relative_to": "orbital"}
     doubt = "attitude: the sequence (ZYX: yaw first, about the turning axes); the unit; relative_to; sense"

@@ -119,7 +119,8 @@ def _counted(numbers: Mapping[str, FloatArray]) -> tuple[str, set[str], str] | N
         return None
     scale = next((one for one in ("TAI", "GPS", "TT") if re.search(rf"(?i)(^|_| ){one}", name)), None)
     more = f', scale = "{scale}"' if scale else ""
-    text = f'{{ recipe = "seconds_since", columns = {json.dumps(name)}, epoch = "2000-01-01T12:00:00Z"{more} }}'
+    origin = "2000-01-01T12:00:00Z" if "2000" in name else "YYYY-MM-DDThh:mm:ssZ"
+    text = f'{{ recipe = "seconds_since", columns = {json.dumps(name)}, epoch = "{origin}"{more} }}'
     return text, {name}, f"the epoch from which {name} counts seconds is not known"
 
 

@@ -430,6 +430,23 @@ def test_fill_values_are_guessed(tmp_path: Path) -> None:
     assert list(np.flatnonzero(~read_telemetry(tmp_path / "a.csv", column_map=tmp_path / "m.toml").has_reading)) == [3]
 
 
+def test_an_epoch_that_is_not_known_is_left_to_be_written(tmp_path: Path) -> None:
+    """A guess would be decades off, and `check` would find some time zone in which the Earth is turned right."""
+    table(tmp_path / "a.csv", {"t_s": np.arange(9.0), **triple("mag_x mag_y mag_z", np.full((9, 3), 2e4))})
+    (tmp_path / "m.toml").write_text(draft([tmp_path / "a.csv"]), encoding="utf-8")
+    with pytest.raises(BadInput, match="column map: epoch: 'YYYY-MM-DDThh:mm:ssZ' is not a time"):
+        read_telemetry(tmp_path / "a.csv", column_map=tmp_path / "m.toml")
+
+
+@pytest.mark.parametrize(("low", "high", "unit"), [(-4.0, 2.0, "deg"), (-3.0, 3.0, "rad"), (0.0, 6.2, "rad")])
+def test_angles_beyond_a_half_turn_either_way_are_no_radians(
+    tmp_path: Path, low: float, high: float, unit: str
+) -> None:
+    angles = np.linspace(low, high, 60)[:, None] * np.ones(3)
+    columns = {"unix_s": UNIX[:60], **triple("mag_x mag_y mag_z", 2e4 + angles), **triple("yaw pitch roll", angles)}
+    assert f'euler = "ZYX", unit = "{unit}"' in draft([table(tmp_path / "a.csv", columns)])
+
+
 def test_a_fill_value_of_a_quaternion_is_guessed_too(tmp_path: Path) -> None:
     rows = [
         f"2026-03-01T00:00:0{k}Z,2e4,1,-3e4,{'-9999,-9999,-9999,-9999' if k == 3 else '0,0.6,0,0.8'}" for k in range(9)

@@ -75,7 +75,7 @@ def _other_form(stamp: str, column: str) -> str:
         return f", of a day that exists and a year from {_FIRST_YEAR} to {_LAST_YEAR}"
     found = text_format({column: [stamp]})
     if found is None:
-        return ", or a column map (--map; `fluxtwin map` drafts one)"
+        return "; for numbers a column map (--map; `fluxtwin map` drafts one)" if stamp[:1].isdigit() else ""
     columns = ", ".join(f'"{name}"' for name in column.split(" and "))
     return f'; or in a column map: time = {{ recipe = "text", columns = [{columns}], format = "{found[1]}" }}'
 

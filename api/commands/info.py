@@ -60,7 +60,7 @@ def _print(output: Output, one: Inventory) -> None:
     _passes(output, one)
     ready = [verb for verb, missing in one.lacks.items() if not missing]
     if ready:
-        output.prose(f"enough for: {', '.join(ready)}", indent="  ")
+        output.prose(f"has the columns for: {', '.join(ready)}", indent="  ")
     for verb, missing in one.lacks.items():
         if missing:
             output.say(f"{verb} lacks {', '.join(missing)}")

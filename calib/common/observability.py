@@ -154,6 +154,7 @@ def _refuse(v: FloatArray, fired: np.ndarray, moves_nT: float, relative: float, 
             text += (
                 ", or, if the reference field varies, --method forward, which the noise of the reading does not bias"
             )
+        text += ". If it should vary there, fluxtwin check names a wrong unit or a stuck axis"
     raise NoAnswer(
         text,
         evidence={

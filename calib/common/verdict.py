@@ -67,6 +67,11 @@ class Along(NamedTuple):
     chance_nT: float
     """rms that chance alone passes so often."""
 
+    @property
+    def most_nT(self) -> float:
+        """What is let pass: the errors are only estimated, but hide no more than a field model may be off by."""
+        return min(_MORE_ALONG * self.allowed_nT, float(np.hypot(self.allowed_nT, FIELD_MODEL_NT)))
+
 
 @dataclass(frozen=True)
 class Verdict:
@@ -304,7 +309,7 @@ def _residual_words(fit: Fit, along: Along, residual_nT: float, *, impossible: b
         because = say("verdict.because_both", reading=reading, model=model)
     words = say("verdict.residual", residual=residual_nT, because=because, along=along)
     if along.chance_nT < along.found_nT and not _too_much_along(along):
-        words += say("verdict.along_allowed", most=_MORE_ALONG * along.allowed_nT)
+        words += say("verdict.along_allowed", most=along.most_nT)
     return words
 
 
@@ -318,7 +323,7 @@ def _many_outliers(fit: Fit) -> bool:
 
 
 def _too_much_along(along: Along) -> bool:
-    return along.found_nT > _MORE_ALONG * along.allowed_nT
+    return along.found_nT > along.most_nT
 
 
 def _coupling(fit: Fit, dipole_B_Am2: FloatArray | None) -> str:
@@ -350,12 +355,11 @@ def _next_step(
         return say("verdict.more_field", weak=weak)
     if orbit_suspect and not impossible:
         return _DIAGNOSE
-    if impossible or _beyond_model(along) or _many_outliers(fit):
+    only_b = not fit.calibration.sigmas[:9].any()
+    if impossible or _many_outliers(fit) or (_beyond_model(along) and not only_b):
         return "fluxtwin check TELEMETRY"
     if _too_much_along(along):
-        if not fit.calibration.sigmas[:9].any():
-            return "fluxtwin calibrate TELEMETRY --parameters b,S"
-        return _DIAGNOSE
+        return "fluxtwin calibrate TELEMETRY --parameters b,S" if only_b else _DIAGNOSE
     if direction.calibration_deg > direction.noise_deg:
         return say("verdict.more_field", weak=weak)
     return "fluxtwin apply TELEMETRY --calibration CALIBRATION.toml --out CORRECTED"

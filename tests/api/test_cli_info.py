@@ -42,7 +42,12 @@ def test_info_tells_what_is_there_and_what_is_not(cli: Cli, file: Path) -> None:
     assert found["lacks"]["calibrate --method gyro"] == ["body rates"]
     assert found["provenance"]["spacecraft"] == "Widget"
     text = cli("info", file).out
-    assert "has the columns for: check, apply" in text and "yaw lacks attitude" in text and "2 passes" in text and "910" in text
+    assert (
+        "has the columns for: check, apply" in text
+        and "yaw lacks attitude" in text
+        and "2 passes" in text
+        and "910" in text
+    )
 
 
 def test_info_lists_the_header_of_a_foreign_file(cli: Cli, tmp_path: Path) -> None:

@@ -110,7 +110,9 @@ def test_a_field_that_does_not_vary_along_an_axis(seasat: Any, direction: str) -
     reading = np.stack([reference[:, 0], np.full(len(reference), 7000.0), reference[:, 2]], axis=1)
     reading = reading + rng.normal(size=reading.shape) * 100.0
     design = Design(seasat.time, reading, reference, None, np.arange(len(reading)), {})
-    with pytest.raises(NoAnswer, match=r"does not vary beyond the noise along body Y: S12, S22, S32, b1, b2 and b3 .* stuck axis"):
+    with pytest.raises(
+        NoAnswer, match=r"does not vary beyond the noise along body Y: S12, S22, S32, b1, b2 and b3 .* stuck axis"
+    ):
         fit_design(design, LinearOptions(method=direction, noise_nT=100.0, lsb_nT=0.0, robust="none"))
 
 

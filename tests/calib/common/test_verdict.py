@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from fluxtwin.calib.common.fit import Fit
-from fluxtwin.calib.common.verdict import assess
+from fluxtwin.calib.common.verdict import Along, assess
 from fluxtwin.calib.methods import calibrate_by
 from fluxtwin.sim.earth import frames
 from fluxtwin.sim.telemetry.record import Telemetry
@@ -133,6 +133,16 @@ def test_a_load_that_lasts_is_no_noise(seasat: Any) -> None:
     verdict = fitted(record.replace(mag_B_nT=record.mag_B_nT + wave), seasat).verdict
     assert verdict is not None and verdict.level == "usable", verdict.lines
     assert verdict.next_step.startswith("fluxtwin diagnose")
+
+
+def test_an_uncertain_bias_hides_no_scale_error(seasat: Any) -> None:
+    """S of a percent, not estimated, leaves 250 nT along the field and a bias known to 160 nT. That a calibration is
+    uncertain excuses no more than a field model does, and the answer is to estimate S, not to check the file."""
+    assert Along(250.0, 26.0, 177.0, 30.0).most_nT == pytest.approx(np.hypot(177.0, 150.0))
+    assert Along(250.0, 26.0, 30.0, 30.0).most_nT == pytest.approx(np.sqrt(2.0) * 30.0)
+    verdict = fitted(flown(seasat), seasat, parameters="b").verdict
+    assert verdict is not None and verdict.level == "usable"
+    assert verdict.next_step == "fluxtwin calibrate TELEMETRY --parameters b,S"
 
 
 def test_a_slow_load_does_not_excuse_itself(seasat: Any) -> None:

@@ -96,15 +96,15 @@ def least_step(mag: FloatArray) -> float:
     return float(step.min()) if step.size else 0.0
 
 
-def runs(mask: np.ndarray, time: TimeArray) -> list[np.ndarray]:
-    """Stretches of rows where `mask` holds, broken at gaps of more than five usual steps."""
+def runs(mask: np.ndarray, time: TimeArray) -> np.ndarray:
+    """(R, 2) first and last rows of stretches where `mask` holds, broken at gaps of more than five usual steps."""
     rows = np.flatnonzero(mask)
     if rows.size == 0:
-        return []
+        return np.zeros((0, 2), dtype=np.intp)
     step = np.diff(time.astype("int64"))
     usual = int(np.median(step)) if step.size else 0
     breaks = (np.diff(rows) > 1) | (np.diff(time[rows].astype("int64")) > 5 * usual)
-    return list(np.split(rows, np.flatnonzero(breaks) + 1))
+    return np.stack([rows[np.append(True, breaks)], rows[np.append(breaks, True)]], axis=1)
 
 
 def length_s(time: TimeArray, run: np.ndarray) -> float:
@@ -116,10 +116,11 @@ def _stuck(values: FloatArray, time: TimeArray) -> BoolArray:
     """Rows (N,) in runs of one reading (N, k) that are long enough that it must have changed, each with its first row."""
     same = np.zeros(len(values), dtype=bool)
     same[1:] = (values[1:] == values[:-1]).all(axis=1)
-    found = sorted(runs(same, time), key=len, reverse=True)
-    lengths = np.array([*map(len, found), 1], dtype=float)
-    found, out = found[:_LONGEST_RUNS], np.zeros(len(values), dtype=bool)
-    lasting = [k for k, run in enumerate(found) if run.size >= STUCK_ROWS and length_s(time, run) >= STUCK_S]
+    found, out = runs(same, time), np.zeros(len(values), dtype=bool)
+    sizes = found[:, 1] - found[:, 0] + 1
+    order = np.argsort(-sizes, kind="stable")
+    lengths, found = np.append(sizes[order], 1).astype(float), found[order[:_LONGEST_RUNS]]
+    lasting = [k for k, run in enumerate(found) if lengths[k] >= STUCK_ROWS and length_s(time, run) >= STUCK_S]
     if not lasting:
         return out
     gap = max(
@@ -127,14 +128,15 @@ def _stuck(values: FloatArray, time: TimeArray) -> BoolArray:
     )  # between runs that may be stuck and those of coarse steps
     if lengths[gap] < LONGER * lengths[gap + 1]:
         return out
-    long = [found[k] for k in lasting if k <= gap]
+    long = [k for k in lasting if k <= gap]
     free = np.ones(len(values), dtype=bool)
-    free[np.concatenate(long)] = False
+    for first, last in found[long]:
+        free[first : last + 1] = False
     step = least_step(values)
-    for run in long:
-        if not _moves(values, free, run.size, step):  # nor do shorter stretches then
+    for size, run in zip(sizes[order[long]], found[long], strict=True):
+        if not _moves(values, free, int(size), step):  # nor do shorter stretches then
             break
-        stuck = _jumps(values, run, step) or len(run) > MUCH_LONGER * lengths[gap + 1]
+        stuck = _jumps(values, run, step) or size > MUCH_LONGER * lengths[gap + 1]
         out[run[0] - 1 : run[-1] + 1] |= stuck
     return out
 

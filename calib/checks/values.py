@@ -63,7 +63,7 @@ def check_sunlit(time: TimeArray, r_N_km: FloatArray, sunlit: FloatArray) -> lis
         ((sunlit == 0) & (seen > 0.99), "shadow", "sunlit"),
         ((sunlit == 1) & (seen < 0.01), "sunlit", "shadow"),
     ):
-        found = [run for run in runs(wrong, time) if length_s(time, run) >= FLAG_S and run.size >= FLAG_ROWS]
+        found = [run for run in runs(wrong, time) if length_s(time, run) >= FLAG_S and np.ptp(run) >= FLAG_ROWS - 1]
         contradictions += [(run, f"{said} where geometry says {truly}") for run in found]
     if not contradictions:
         return []
@@ -72,7 +72,8 @@ def check_sunlit(time: TimeArray, r_N_km: FloatArray, sunlit: FloatArray) -> lis
         f"{words}: {epoch.iso(time[run[0]])} to {epoch.iso(time[run[-1]])}" for run, words in contradictions[:5]
     )
     spans += " and more" if len(contradictions) > 5 else ""
-    return [trap("sunlit_flag", np.concatenate([run for run, _ in contradictions]), spans=spans)]
+    rows = [np.arange(first, last + 1) for (first, last), _ in contradictions]
+    return [trap("sunlit_flag", np.concatenate(rows), spans=spans)]
 
 
 def _usable(telemetry: Telemetry) -> list[Finding]:

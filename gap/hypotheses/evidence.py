@@ -18,6 +18,7 @@ from fluxtwin.gap.linear.projection import ProjectedResidual, Whitens, explained
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 
 _MOST_BYTES = 400e6  # that all columns of a design may take at once
+_TOGETHER = 32  # blocks that are whitened at once: so many columns fit the cache of a core
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,26 +72,22 @@ class Dictionary:
     """
 
     def __init__(self, found: Sequence[Block], rows: int) -> None:
-        self.found = tuple(found)
+        self.found, self.rows = tuple(found), rows
         ends = np.cumsum([len(block.axes) for block in self.found])
         self.slices = [slice(int(end) - len(b.axes), int(end)) for b, end in zip(self.found, ends, strict=True)]
         self.width = int(ends[-1]) if self.found else 0
         self.small = 24 * rows * self.width <= _MOST_BYTES
         self._latest: tuple[Whitens, FloatArray, list[FloatArray]] | None = None
 
-    @cached_property
-    def columns(self) -> FloatArray:
-        """(N, 3, K) all blocks' columns in turn, in nT per unit."""
-        made = self.found[0].make()
-        out = np.empty((*made.shape[:2], self.width))
-        for block, part in zip(self.found, self.slices, strict=True):
-            out[:, :, part] = block.make()
-        return out
-
     def white(self, whitener: Whitens) -> tuple[FloatArray, list[FloatArray]]:
         """(3N, K) whitened columns, and the Gram matrix of each block."""
         if self._latest is None or self._latest[0] is not whitener:
-            flat = whitener.apply(self.columns).reshape(-1, self.width)
+            flat = self._latest[1] if self._latest else np.empty((3 * self.rows, self.width))  # there is room for one
+            for first in range(0, len(self.found), _TOGETHER):
+                blocks = self.found[first : first + _TOGETHER]
+                made = np.concatenate([block.make() for block in blocks], axis=2)
+                part = slice(self.slices[first].start, self.slices[first].start + made.shape[2])
+                flat[:, part] = whitener.apply(made).reshape(len(flat), -1)
             self._latest = (whitener, flat, [flat[:, part].T @ flat[:, part] for part in self.slices])
         return self._latest[1], self._latest[2]
 

@@ -57,6 +57,7 @@ class Regression:
         self.tried: dict[Terms, int] = {}
         """Terms that were tried, and how much there is to each."""
         self._by_settings = [0] * 24
+        self._latest: tuple[ProjectedResidual | None, dict[Terms, Trial]] = (None, {})
         laws = dict.fromkeys((*grammar.singles(), *grammar.products()))
         self.terms = [grammar.with_lower(law) for law in laws if grammar.values(law) is not None]
         self.pool = Dictionary([self.block(terms) for terms in self.terms], problem.rows)
@@ -96,10 +97,14 @@ class Regression:
         """Terms; None where one is missing, or all are dead."""
         if any(self.grammar.values(law) is None for law in terms):
             return None
-        self._count([terms])
-        found = fit(self.block(terms), left)
-        trial = Trial(terms, found, *found.explained())
-        return trial if trial.rank else None
+        if self._latest[0] is not left:
+            self._latest = (left, {})
+        known = self._latest[1]
+        if terms not in known:  # one beam comes to the same terms from several starts
+            self._count([terms])
+            found = fit(self.block(terms), left)
+            known[terms] = Trial(terms, found, *found.explained())
+        return known[terms] if known[terms].rank else None
 
     def best(self, left: ProjectedResidual, beside: Sequence[Law] = ()) -> list[Trial]:
         """The best few of the pool with their settings moved, best first."""

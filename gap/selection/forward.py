@@ -15,7 +15,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from fluxtwin.gap.hypotheses.candidates import Candidate
-from fluxtwin.gap.linear.projection import SHARE_LEFT, explained, orthonormal
+from fluxtwin.gap.linear.projection import SHARE_LEFT, explained
 from fluxtwin.gap.selection.criterion import GATE, penalty, samples_of
 from fluxtwin.gap.selection.refit import Channel, Fit, refit
 from fluxtwin.gap.selection.score import Board, board, whitened
@@ -199,9 +199,8 @@ def _with_setting(search: Search[Any], fit: Fit, number: int, moved: Effect | No
     if not isinstance(moved, SignalEffect):
         return fit
     chosen = [(moved, theta) if place == number else (one, theta) for place, (one, theta) in enumerate(fit.chosen)]
-    basis = orthonormal(fit.jacobian)
     rest = search.channel.residual([*fit.modelled, *chosen]).reshape(-1)
-    if float(np.sum((rest - basis @ (basis.T @ rest)) ** 2)) >= fit.chi2 - 1.0:
+    if float(np.sum((rest - fit.basis @ (fit.basis.T @ rest)) ** 2)) >= fit.chi2 - 1.0:
         return fit
     trial = refit(search.channel, chosen, modelled=fit.modelled, guess=fit.jacobian)
     return trial if trial.chi2 < fit.chi2 - 1.0 else fit

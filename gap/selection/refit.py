@@ -15,7 +15,7 @@ import numpy as np
 
 from fluxtwin.gap.hypotheses.candidates import Candidate, candidate_of
 from fluxtwin.gap.hypotheses.perturbed_design import PerturbedDesign
-from fluxtwin.gap.linear.projection import SHARE_LEFT, Whitens, least_share
+from fluxtwin.gap.linear.projection import SHARE_LEFT, Whitens, least_share, orthonormal
 from fluxtwin.gap.noise.whitening import Whitener
 from fluxtwin.gap.problem.problem import Problem, calibrated, realigned
 from fluxtwin.gap.selection.interval import likeliest_interval, likeliest_jump
@@ -89,6 +89,11 @@ class Fit:
     rank: int
     """Directions seen, of modelled and chosen effects together."""
     rank_modelled: int
+
+    @cached_property
+    def basis(self) -> FloatArray:
+        """(3M, r) orthonormal, of the Jacobian."""
+        return orthonormal(self.jacobian)
 
     @property
     def active(self) -> list[Active]:

@@ -89,8 +89,8 @@ def orthonormal(columns: FloatArray) -> FloatArray:
 
 def projected_out(basis: FloatArray, columns: FloatArray) -> FloatArray:
     """Columns (M, k) or (M,) with an orthonormal basis (M, q) out of them to rounding, which takes two passes."""
-    for _ in range(2):
-        columns = columns - basis @ (basis.T @ columns)
+    columns = columns - basis @ (basis.T @ columns)
+    columns -= basis @ (basis.T @ columns)
     return columns
 
 

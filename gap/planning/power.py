@@ -95,17 +95,19 @@ class Flown:
     @cached_property
     def same(self) -> dict[str, tuple[str, ...]]:
         """Names that imitate each other here, {name: names, its own first}."""
-        return self.board(self.found, self._white, self.problem.rows).same
+        return self.board(self.found, self._white, np.zeros((self.problem.rows, 3))).same
 
-    def board(self, found: Sequence[Candidate], white: FloatArray, rows: int) -> Board:
-        """The tests on the first rows alone; whitening looks back only, so it is that of the longer record."""
+    def board(self, found: Sequence[Candidate], white: FloatArray, signal: FloatArray) -> Board:
+        """The tests of a whitened signal (M, 3) on the first rows alone; whitening looks back only, so it is that of the
+        longer record."""
+        rows = len(signal)
         measured, white = int((self.whitener.weights[:rows] > 0).sum()), np.ascontiguousarray(white[:rows])
-        return board(found, white, np.zeros((rows, 3)), self._nuisance[:rows], measured, least_share(self.whitener))
+        return board(found, white, signal, self._nuisance[:rows], measured, least_share(self.whitener))
 
     def shown(self, rows: int) -> dict[str, float]:
         """{name: probability that its typical size is seen}; what is not there cannot be tested."""
         if rows not in self._shown:
-            scored, power = self.board(self.found, self._white, rows), {}
+            scored, power = self.board(self.found, self._white, np.zeros((rows, 3))), {}
             tested = max(int((scored.rank > 0).sum()), 1)
             for name, one in smallest(scored, tested)[0].items():
                 power[name] = one.rule.power(one.rule.noncentrality / one.relative**2)
@@ -120,8 +122,7 @@ class Flown:
         power = []
         for one in cause.each:
             found, white, signal = self._bent(one)
-            scored = self.board(found, white, rows)
-            power.append(probability_of(cause.name, others, scored, signal[:rows].reshape(-1)))
+            power.append(probability_of(cause.name, others, self.board(found, white, signal[:rows])))
         return float(np.mean(power))
 
     def imitating(self, cause: Cause, name: str) -> Cause | None:
@@ -239,8 +240,8 @@ class Flown:
             found.append(candidate_of(self.problem, cause.effect, modelled=self.problem.modelled_active))
             own = self.whitener.apply(found[-1].jacobian[:, :, found[-1].live])
             white = np.concatenate([white, own], axis=2)
-        scored = self.board(found, white, self.problem.rows)
-        drop = _drops(scored, _score(scored, signal.reshape(-1))[:, None])[:, 0]
+        scored = self.board(found, white, signal)
+        drop = scored.statistic
         worse = (drop.max() - drop) / (1.0 + SHAPE * drop.max())
         near = [int(n) for n in np.argsort(worse) if worse[n] < _FAR and scored.rank[n] > 0][:_REFITTED]
         first = next(n for n, c in enumerate(found) if c.effect == cause.effect)
@@ -249,7 +250,7 @@ class Flown:
             if number == first:
                 theta, made, columns = cause.theta, signal, readings.jacobian([(cause.effect, cause.theta)])
             else:
-                fit = refit(readings, [(found[number].effect, scored.estimate([number])[0])])
+                fit = refit(readings, [(found[number].effect, np.zeros(len(found[number].scale)))])
                 theta, made, columns = fit.chosen[0][1], signal - fit.residual, fit.jacobian[:, :, fit.slices()[0]]
             white[:, :, scored.owner == number] = _secant(columns, theta, made)[:, :, found[number].live]
         self._signals[cause] = found, white, signal
@@ -267,12 +268,6 @@ def _secant(columns: FloatArray, theta: FloatArray, made: FloatArray) -> FloatAr
     return bent
 
 
-def _score(scored: Board, signal: FloatArray) -> FloatArray:
-    """(R,) a whitened signal (3M,) along each orthonormal direction of the candidates."""
-    left = signal - scored.nuisance_basis @ (scored.nuisance_basis.T @ signal)
-    return np.asarray(scored.turn.T @ (scored.columns.T @ left))
-
-
 def _drops(scored: Board, score: FloatArray) -> FloatArray:
     """(K, D) drop of chi-square by each candidate, of scores (R, D)."""
     drop = np.zeros((len(scored.candidates), score.shape[1]))
@@ -280,14 +275,14 @@ def _drops(scored: Board, score: FloatArray) -> FloatArray:
     return drop
 
 
-def probability_of(name: str, others: Collection[str], scored: Board, signal: FloatArray) -> float:
-    """That the rules of the search name it, with none of the others in its group, where the whitened signal (3M,) is its."""
+def probability_of(name: str, others: Collection[str], scored: Board) -> float:
+    """That the rules of the search name it, with none of the others in its group, where the residual is its signal."""
     names = [candidate.name for candidate in scored.candidates]
     if not any(scored.rank[n] for n, one in enumerate(names) if one == name):
         return 0.0
     values, vectors = np.linalg.eigh(scored.unit_gram)
     noise = np.random.default_rng(_SEED).standard_normal((values.size, _DRAWS))
-    score = _score(scored, signal)[:, None] + (vectors * np.sqrt(np.maximum(values, 0.0))) @ noise
+    score = scored.score[:, None] + (vectors * np.sqrt(np.maximum(values, 0.0))) @ noise
     rank = scored.rank[:, None].astype(float)
     drop = _drops(scored, score)
     samples, tested = samples_of(scored.measured), max(int((scored.rank > 0).sum()), 1)

@@ -34,8 +34,10 @@ class Board:
     """Whitened candidates beside a nuisance, ready for tests; M rows, P live columns of K candidates."""
 
     candidates: Sequence[Candidate]
-    columns: FloatArray
-    """(3M, P) whitened, projected off the nuisance, each of unit length before the projection."""
+    gram: FloatArray
+    """(P, P) inner products of the columns, whitened, projected off the nuisance, each of unit length before that."""
+    pull: FloatArray
+    """(P,) inner products of the columns with the residual."""
     lengths: FloatArray
     """(P,) lengths before the projection, per unit of the parameter."""
     owner: FloatArray
@@ -54,12 +56,7 @@ class Board:
     @cached_property
     def left(self) -> FloatArray:
         """(P,) share of each column's energy that the nuisance leaves."""
-        return np.asarray(np.einsum("ij,ij->j", self.columns, self.columns))
-
-    @cached_property
-    def gram(self) -> FloatArray:
-        """(P, P) inner products of the projected columns."""
-        return np.asarray(self.columns.T @ self.columns)
+        return np.diag(self.gram)
 
     @cached_property
     def turn(self) -> FloatArray:
@@ -93,7 +90,7 @@ class Board:
     @cached_property
     def score(self) -> FloatArray:
         """(R,) residual along each orthonormal direction."""
-        return np.asarray(self.turn.T @ (self.columns.T @ self.residual))
+        return np.asarray(self.turn.T @ self.pull)
 
     @cached_property
     def statistic(self) -> FloatArray:
@@ -162,13 +159,13 @@ class Board:
     @cached_property
     def shares_by_name(self) -> dict[str, dict[str, float]]:
         """{a: {b: share of a that b can imitate}}, the largest over alternatives of both; effects that are seen only."""
-        found: dict[str, dict[str, float]] = {}
-        for k, one in enumerate(self.candidates):
-            for m, other in enumerate(self.candidates):
-                if self.rank[k] > 0 and self.rank[m] > 0 and one.name != other.name:
-                    row = found.setdefault(one.name, {})
-                    row[other.name] = max(row.get(other.name, 0.0), float(self.shares[k, m]))
-        return found
+        seen = np.flatnonzero(self.rank > 0).tolist()
+        names = list(dict.fromkeys(self.candidates[k].name for k in seen))
+        number = np.array([names.index(self.candidates[k].name) for k in seen], dtype=np.intp)
+        table = np.zeros((len(names), len(names)))
+        np.maximum.at(table, (number[:, None], number), self.shares[np.ix_(seen, seen)])
+        pairs = zip(names, table.tolist(), strict=True)
+        return {one: {b: share for b, share in zip(names, row, strict=True) if b != one} for one, row in pairs}
 
     @property
     def isolability(self) -> dict[str, dict[str, float]]:
@@ -200,7 +197,7 @@ class Board:
 
     def scores(self) -> list[Score]:
         """Score and information of every candidate, in the units of its parameters."""
-        pull = (self.columns.T @ self.residual) * self.lengths
+        pull = self.pull * self.lengths
         found = []
         for number, candidate in enumerate(self.candidates):
             mine = np.flatnonzero(self.owner == number)
@@ -276,7 +273,8 @@ def board(
     lengths = np.linalg.norm(flat, axis=0)
     lengths = np.where(lengths > 0, lengths, 1.0)
     columns, rest = projected_out(basis, flat / lengths), projected_out(basis, residual.reshape(-1))
-    return Board(tuple(candidates), columns, lengths, owner, place, rest, basis, measured, share_left)
+    gram, pull = columns.T @ columns, columns.T @ rest
+    return Board(tuple(candidates), gram, pull, lengths, owner, place, rest, basis, measured, share_left)
 
 
 def whitened(candidates: Sequence[Candidate], whitener: Whitens, rows: int) -> FloatArray:

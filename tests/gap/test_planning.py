@@ -58,11 +58,11 @@ def test_power_of_two_lone_columns_is_that_of_the_bivariate_normal(
     white[0, 0] = [1.0, cosine]
     white[1, 1] = [0.0, np.sqrt(1.0 - share)]
     one = [SimpleNamespace(name=name, live=np.ones(1, dtype=bool), label=name) for name in "ab"]
-    scored = board(one, white, np.zeros((40, 3)), np.zeros((40, 3, 0)), 120)  # type: ignore[arg-type]
-    signal = np.zeros(120)
-    signal[0] = 8.0
+    signal = np.zeros((40, 3))
+    signal[0, 0] = 8.0
+    scored = board(one, white, signal, np.zeros((40, 3, 0)), 120)  # type: ignore[arg-type]
     monkeypatch.setattr(power, "_DRAWS", 100_000)
-    found = probability_of("a", ["b"], scored, signal)
+    found = probability_of("a", ["b"], scored)
     # By quadrature: x along the first, y across it.
     x, y = np.meshgrid(np.linspace(0.0, 14.0, 1401), np.linspace(-6.0, 6.0, 1201), indexing="ij")
     own, other = x**2, (cosine * x + np.sqrt(1.0 - share) * y) ** 2
@@ -70,12 +70,16 @@ def test_power_of_two_lone_columns_is_that_of_the_bivariate_normal(
     wanted = np.sum(norm.pdf(x - 8.0) * norm.pdf(y) * (named & (x > norm.isf(0.0005)))) * 0.01 * 0.01
     # Four sigma of a share among 100,000 draws are 0.005 at 0.81; penalties, alike for both, move it by less than 0.002.
     assert abs(found - wanted) < 0.007
-    assert abs(probability_of("b", ["a"], scored, signal)) < 0.05
+    assert abs(probability_of("b", ["a"], scored)) < 0.05
     dead = SimpleNamespace(name="c", live=np.ones(1, dtype=bool), label="c")  # of no rank: it counts for nothing
-    white = np.concatenate([white, np.zeros((40, 3, 1))], axis=2)
-    more = board([*one, dead], white, np.zeros((40, 3)), np.zeros((40, 3, 0)), 120)  # type: ignore[list-item]
-    signal[0] = 4.0
-    assert probability_of("a", ["b"], more, signal) == probability_of("a", ["b"], scored, signal)
+    more = np.concatenate([white, np.zeros((40, 3, 1))], axis=2)
+    signal[0, 0] = 4.0
+    boards = (
+        board(each, columns, signal, np.zeros((40, 3, 0)), 120)  # type: ignore[arg-type]
+        for each, columns in ((one, white), ([*one, dead], more))
+    )
+    alone, beside = (probability_of("a", ["b"], each) for each in boards)
+    assert alone == beside
 
 
 def test_designs_keep_the_limits(base: Scenario) -> None:

@@ -19,6 +19,7 @@ from worlds import PARTS, scenario_text
 from fluxtwin.gap.hypotheses.blocks import blocks
 from fluxtwin.gap.hypotheses.candidates import Candidate, candidates, made
 from fluxtwin.gap.hypotheses.evidence import Dictionary
+from fluxtwin.gap.linear.projection import projected_out
 from fluxtwin.gap.noise.robust_rows import RobustRows
 from fluxtwin.gap.noise.whitening import NoiseModel, Whitener, make_whitener
 from fluxtwin.gap.posterior.explanations import answered_with
@@ -247,10 +248,10 @@ def test_a_perfect_simulation_gets_no_name_score() -> None:
     priced = unpriced = 0
     for _ in range(500):
         white = here.whitener.apply(here.noise(rng))
-        flat = white.reshape(-1)
-        basis = search_.first.nuisance_basis
-        scored = dataclasses.replace(search_.first, residual=flat - basis @ (basis.T @ flat))
-        for shared in ("gram", "left", "turn", "block", "rank", "unit_gram"):
+        first, rest = search_.first, projected_out(search_.first.nuisance_basis, white.reshape(-1))
+        pull = (search_.white.reshape(rest.size, -1).T @ rest) / first.lengths
+        scored = dataclasses.replace(first, residual=rest, pull=pull)
+        for shared in ("left", "turn", "block", "rank", "unit_gram"):
             scored.__dict__[shared] = getattr(search_.first, shared)
         least = scored.p_values.min()
         priced += search_.tested * least <= GATE

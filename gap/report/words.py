@@ -160,8 +160,10 @@ def not_tested(names: Sequence[str]) -> str:
 
 def _cause(effect: FoundEffect) -> str:
     known = {name: one for name, one in effect.parameters.items() if one.sigma is not None} or effect.parameters
+    clear = sorted(known, key=lambda name: -abs(known[name].value) / (known[name].sigma or 1.0))[:3]
     units = {name: "" if one.unit == "1" else f" {one.unit}" for name, one in known.items()}
-    sizes = ", ".join(f"{name} {plain(one.value)}{units[name]}" for name, one in list(known.items())[:3])
+    sizes = ", ".join(f"{name} {plain(one.value)}{units[name]}" for name, one in known.items() if name in clear)
+    sizes += f" and {len(known) - 3} more" if len(known) > 3 else ""
     over = ""
     if "region_deg" in effect.settings:
         where = SwitchedField(str(effect.settings["condition"]), region_deg=tuple(effect.settings["region_deg"]))

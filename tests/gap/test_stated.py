@@ -9,7 +9,8 @@ from withheld_cases.stated import steps
 
 from fluxtwin.gap.posterior import stated as module
 from fluxtwin.gap.posterior.stated import FIRST, FURTHER, Steps, as_stated, likelier_unknown, stated
-from fluxtwin.gap.records.diagnosis import FoundEffect
+from fluxtwin.gap.records.diagnosis import EffectParameter, FoundEffect
+from fluxtwin.gap.report import words
 
 
 def test_steps_by_hand() -> None:
@@ -76,3 +77,14 @@ def test_several_names_that_are_likelier_wrong_than_right_are_not_given(
         for one in [first, *further]
     ]
     assert likelier_unknown(names) == unknown
+
+
+def test_the_sentence_gives_the_sizes_that_the_data_know_best() -> None:
+    """A line is a cosine and a sine on three axes: of the first three, small by chance, nobody would know its size."""
+    sizes = {"cos_x": (3.7, 2.0), "cos_y": (-5.2, 2.0), "cos_z": (0.2, 2.0)}
+    sizes |= {"sin_x": (80.0, 2.0), "sin_y": (25.0, 2.0), "sin_z": (-36.0, 2.0)}
+    parameters = {name: EffectParameter(value, sigma, "nT") for name, (value, sigma) in sizes.items()}
+    place = {"stage": "spacecraft", "axis": "all", "frame": "body", "condition": "none"}
+    support = {"group": ("wheel_field",), "rivals": (), "probability": 0.9, "significance": 1e-9, "visible_nT": 9.0}
+    found = FoundEffect(name="wheel_field", parameters=parameters, settings={}, **place, **support)
+    assert words._cause(found) == "wheel_field (sin_x 80.0 nT, sin_y 25.0 nT, sin_z -36.0 nT and 3 more)"

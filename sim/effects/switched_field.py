@@ -19,7 +19,7 @@ _PLAIN = ("eclipse", "night", "interval", "region")
 
 @dataclass(frozen=True)
 class HeaterSwitching(SpacecraftField):
-    """Constant field while a heater or another load is on.
+    """Constant field while a heater or load is on.
 
     By `switches_utc` or `sequence` if given, else the column `heater_on`.
     """

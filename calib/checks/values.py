@@ -26,10 +26,12 @@ _MAX_ROWS = 4000
 
 def check_readings(telemetry: Telemetry) -> list[Finding]:
     """Whether there are readings enough."""
-    readings = [*_usable(telemetry), *_missing_rows(telemetry, "magnetometer", telemetry.has_reading)]
     if not telemetry.has_reading.any():
-        return [trap("no_readings"), *readings[:1]]
-    return readings
+        blank = [
+            axis for axis, seen in zip("xyz", np.isfinite(telemetry.mag_B_nT).any(axis=0), strict=True) if not seen
+        ]
+        return [trap("no_readings", axes=", ".join(blank) or "one or another")]
+    return [*_usable(telemetry), *_missing_rows(telemetry, "magnetometer", telemetry.has_reading)]
 
 
 def check_motion(telemetry: Telemetry) -> list[Finding]:

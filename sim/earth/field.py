@@ -208,10 +208,10 @@ def _positions(r_km: FloatArray) -> FloatArray:
 
     row = first_outside(r, LOWEST_RADIUS_KM)
     if row >= 0 and not np.isfinite(r[row]).all():
-        raise BadInput(f"row {row} is not finite: {r[row]}", where="positions", wanted="numbers in km")
+        raise BadInput(f"row {row + 1} is not finite: {r[row]}", where="positions", wanted="numbers in km")
     if row >= 0:
         raise OutOfRange(
-            f"row {row} lies {np.linalg.norm(r[row]):.6g} km from the centre of the Earth",
+            f"row {row + 1} lies {np.linalg.norm(r[row]):.6g} km from the centre of the Earth",
             where="positions",
             wanted=f"{LOWEST_RADIUS_KM:g} km or more",
         )

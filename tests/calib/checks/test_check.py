@@ -476,6 +476,14 @@ def test_a_record_without_any_reading_is_a_trap_and_no_crash():
     assert report.exit_status == 1
 
 
+def test_the_axis_that_has_no_reading_is_named(model: FieldModel) -> None:
+    record = good(model)
+    mag = np.array(record.mag_B_nT)
+    mag[:, 2] = np.nan
+    (found,) = check_telemetry(record.replace(mag_B_nT=mag), model).traps
+    assert found.code == "no_readings" and "on axis z;" in found.text
+
+
 def test_stamps_outside_the_field_model_are_a_trap():
     time = np.datetime64("2051-03-01T00:00:00", "ns") + np.arange(50) * np.timedelta64(60, "s")
     angle = 0.06 * np.arange(50)

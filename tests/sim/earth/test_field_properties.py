@@ -205,9 +205,9 @@ def test_a_lasting_model_goes_on_along_its_ends(shared_model: field.FieldModel, 
 
 def test_positions_that_cannot_be(shared_model: field.FieldModel) -> None:
     time = np.datetime64("2001-01-01")
-    with pytest.raises(BadInput, match="row 1 is not finite"):
+    with pytest.raises(BadInput, match="row 2 is not finite"):
         field.field_E_nT(shared_model, time, np.array([[7000.0, 0, 0], [np.nan, 0, 0]]))
-    with pytest.raises(OutOfRange, match=r"row 0 lies 100 km.*3485"):
+    with pytest.raises(OutOfRange, match=r"row 1 lies 100 km.*3485"):
         field.field_E_nT(shared_model, time, np.array([[0, 100.0, 0]]))
     with pytest.raises(BadInput, match=r"\(N, 3\) in km"):
         field.field_E_nT(shared_model, time, np.ones((4, 2)))

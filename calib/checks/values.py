@@ -27,9 +27,7 @@ _MAX_ROWS = 4000
 def check_readings(telemetry: Telemetry) -> list[Finding]:
     """Whether there are readings enough."""
     if not telemetry.has_reading.any():
-        blank = [
-            axis for axis, seen in zip("xyz", np.isfinite(telemetry.mag_B_nT).any(axis=0), strict=True) if not seen
-        ]
+        blank = [axis for axis, one in zip("xyz", telemetry.mag_B_nT.T, strict=True) if np.isnan(one).all()]
         return [trap("no_readings", axes=", ".join(blank) or "one or another")]
     return [*_usable(telemetry), *_missing_rows(telemetry, "magnetometer", telemetry.has_reading)]
 

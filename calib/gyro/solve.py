@@ -314,8 +314,8 @@ def _residual(one: Stretch, reading_nT: FloatArray, S: FloatArray, c: FloatArray
 
 def _covariance(parts: Sequence[Cleared], theta: FloatArray, normal: FloatArray, variance: float) -> FloatArray:
     """That of the two noises; wider where stretches, or pairs of them, scatter by more than chance."""
-    value = float(np.linalg.eigvalsh(normal)[0])
-    if not value > 0:
+    values = np.linalg.eigvalsh(normal)
+    if not values[0] > len(values) * np.finfo(np.float64).eps * values[-1]:  # none is left of it but rounding
         raise NoAnswer(
             "S is not determined: the body turned too little, or about too few axes, and nothing but noise moves a "
             "combination of S, b and the gyro's bias. Use --parameters b, or a longer record",

@@ -153,6 +153,11 @@ def test_what_the_motion_does_not_show_is_refused() -> None:
     spin = flown(2, "[0.0, 0.0, 1.5]", np.zeros((3, 3)))
     with pytest.raises(NoAnswer, match="S is not determined"):
         fluxtwin.calibrate(spin, method="gyro", stretch_s=100.0)
+    slow = flown(4, "[0.03, 0.02, -0.03]", rows=57)
+    readings = np.array(slow.mag_B_nT)
+    readings[:, 0] = 123.0  # an axis that is stuck: of its row of S nothing is left but rounding
+    with pytest.raises(NoAnswer, match="S is not determined"):
+        fluxtwin.calibrate(slow.replace(mag_B_nT=readings), method="gyro")
     few = flown(3, rows=8)
     degrees_s = 180.0 / np.pi * np.median(np.linalg.norm(np.asarray(few.rate_B_rad_s), axis=1))
     with pytest.raises(NoAnswer, match=f"fewer than 3 stretches[^(]* by {degrees_s:.3g} deg/s .* more than 57 deg"):

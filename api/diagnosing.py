@@ -24,7 +24,7 @@ from fluxtwin.gap.report import input_warnings, words
 from fluxtwin.notebook import usual
 from fluxtwin.one_thread import on_one_blas_thread
 from fluxtwin.scenarios.packaged import as_scenario
-from fluxtwin.sim.base.errors import BadInput, NoAnswer
+from fluxtwin.sim.base.errors import BadInput, FluxtwinError, NoAnswer
 from fluxtwin.sim.base.progress import Progress
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.earth.field_models import load_field
@@ -119,21 +119,27 @@ def diagnose(
     known = () if config is None else frozen(config)
     budget = budget_of(config, known, declared)
     traps = input_warnings.traps(record, model)
-    found = investigate_record(
-        record,
-        model,
-        modelled=modelled,
-        budget=budget,
-        instrument=None if config is None or record.corrected_by else spacecraft.magnetometer(config),
-        frozen=known,
-        craft=_craft(config),
-        provenance={"source": record.provenance.get("source", "")},
-        law=not traps,
-        progress=progress,
-    )
+    try:
+        found = investigate_record(
+            record,
+            model,
+            modelled=modelled,
+            budget=budget,
+            instrument=None if config is None or record.corrected_by else spacecraft.magnetometer(config),
+            frozen=known,
+            craft=_craft(config),
+            provenance={"source": record.provenance.get("source", "")},
+            law=not traps,
+            progress=progress,
+        )
+    except (FluxtwinError, np.linalg.LinAlgError):
+        if traps:  # no magnetometer reads like this
+            raise NoAnswer(words.wrong_file(traps, "unknown", ""), evidence={}) from None
+        raise
     stuck = input_warnings.stuck_attitude(record, budget.attitude_sigma_rad)
     if traps:
-        found = replace(found, sentence=words.wrong_file(traps, found.verdict, found.sentence), resembles=())
+        verdict = "effect" if found.verdict == "effect" else "unknown"
+        found = replace(found, verdict=verdict, sentence=words.wrong_file(traps, verdict, found.sentence), resembles=())
     notes = [
         _corrected(record),
         *found.notes,

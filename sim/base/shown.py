@@ -14,6 +14,16 @@ _PRESENTING = "fluxtwin.presenting"
 class Shown:
     """A result: `.report()`, `.plot()`, and its own place in a notebook."""
 
+    def __init_subclass__(cls, **more: Any) -> None:
+        super().__init_subclass__(**more)
+        cls.__repr__ = Shown.__repr__  # type: ignore[method-assign]  # a dataclass would print every array
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__}: {self.report().splitlines()[0]}>"
+
+    def __str__(self) -> str:
+        return self.report()
+
     def report(self) -> str:
         """The result as text: the sentence first, then its tables."""
         return str(self._presented("report"))

@@ -14,6 +14,7 @@ from command_line import Cli, status_of
 from jsonschema import Draft202012Validator
 from worlds import scenario_text
 
+import fluxtwin
 from fluxtwin.gap.records.schema import diagnosis_schema
 from fluxtwin.gap.report import input_warnings, words
 from fluxtwin.sim.run.simulate import simulate
@@ -394,6 +395,14 @@ def test_a_wrong_unit_is_to_be_corrected_before_anything_is_flown(late: Case, cl
     assert 'id="drivers"' not in shown and 'id="gap_spectra"' not in shown  # their words are of a gap
     assert "Minimum detectable sizes" not in shown and "Where the gap lies" not in shown
     assert "law" not in json.loads((tmp_path / "unit.json").read_text(encoding="utf-8"))
+
+
+def test_a_wrong_file_is_never_without_a_gap(late: Case) -> None:
+    record = read_telemetry(late.folder / "late.csv")
+    some = record.select(np.arange(60))
+    assert fluxtwin.diagnose(some.replace(mag_B_nT=-some.mag_B_nT)).verdict == "unknown"
+    with pytest.raises(fluxtwin.NoAnswer, match=r"^First correct the file as fluxtwin check says"):
+        fluxtwin.diagnose(some.replace(mag_B_nT=some.mag_B_nT * 1e9))
 
 
 def test_a_value_that_no_instrument_gives_is_named(late: Case, cli: Cli, tmp_path: Path) -> None:

@@ -37,6 +37,7 @@ def test_a_fit_says_shows_and_draws_itself(flown: fluxtwin.Telemetry) -> None:
     text, page = fit.report(), fit._repr_html_()
     for said in (*fit.verdict.lines, "b1"):
         assert said in text and said in words(page)
+    assert str(fit) == text and repr(fit) == f"<LinearFit: {fit.verdict.lines[0]}>"
     _, axes = plt.subplots()
     assert fit.plot(axes) is axes
     assert axes.get_ylabel() == "residual [nT]" and "UTC" in axes.get_xlabel()

@@ -24,7 +24,7 @@ from fluxtwin.gap.report import input_warnings, words
 from fluxtwin.notebook import usual
 from fluxtwin.one_thread import on_one_blas_thread
 from fluxtwin.scenarios.packaged import as_scenario
-from fluxtwin.sim.base.errors import BadInput, FluxtwinError, NoAnswer
+from fluxtwin.sim.base.errors import BadInput, NoAnswer
 from fluxtwin.sim.base.progress import Progress
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.earth.field_models import load_field
@@ -132,7 +132,7 @@ def diagnose(
             law=not traps,
             progress=progress,
         )
-    except (FluxtwinError, np.linalg.LinAlgError):
+    except (BadInput, np.linalg.LinAlgError):
         if traps:  # no magnetometer reads like this
             raise NoAnswer(words.wrong_file(traps, "unknown", ""), evidence={}) from None
         raise

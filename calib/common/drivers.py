@@ -98,7 +98,7 @@ def asked_for(telemetry: Telemetry, names: Sequence[str]) -> Asked:
             found[column] = known[column]
         elif name != EVERY:
             near = nearest(name, [*known, *telemetry.drivers], "{!r} is near", cutoff=0.4)
-            wanted = near or ", ".join(known) or "this telemetry has no such column"
+            wanted = near or ", ".join(known) or "a column driver_NAME in the telemetry, with any unit"
             raise BadInput(f"the telemetry has no column {name!r}", where="--driver", wanted=wanted)
     return Asked(found, EVERY in names, left_out, seconds_of(telemetry.time))
 

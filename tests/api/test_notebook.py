@@ -35,6 +35,7 @@ def test_a_fit_says_shows_and_draws_itself(flown: fluxtwin.Telemetry) -> None:
     fit = fluxtwin.calibrate(flown)
     assert fit.verdict is not None
     text, page = fit.report(), fit._repr_html_()
+    assert str(fit) == text, "what print shows"
     for said in (*fit.verdict.lines, "b1"):
         assert said in text and said in words(page)
     assert str(fit) == text and repr(fit) == f"<LinearFit: {fit.verdict.lines[0]}>"

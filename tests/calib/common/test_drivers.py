@@ -384,7 +384,7 @@ def test_a_column_that_is_not_there_is_refused(method: str, names: list[str], sa
 
 
 def test_a_record_without_columns_says_how_to_name_one() -> None:
-    with pytest.raises(BadInput, match="no column 'payload'. Wanted: a column driver_NAME in the telemetry"):
+    with pytest.raises(BadInput, match=r"no column 'payload'\. Wanted: a column driver_NAME in the telemetry"):
         fit_of(flown(0).replace(drivers={}, driver_units={}, sunlit=None), method="linear", driver=["payload"])
 
 

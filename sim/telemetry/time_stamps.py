@@ -12,7 +12,7 @@ from fluxtwin.sim.telemetry import zones
 
 _FIRST_YEAR, _LAST_YEAR = 1900, 2200
 _NAT = np.datetime64("NaT", "ns")
-_STAMP = re.compile(rf"(\d{{4}}-\d\d-\d\d[Tt ]\d\d:\d\d:\d\d(?:\.\d{{1,9}})?) ?({zones.AHEAD})?", re.ASCII)
+_STAMP = re.compile(rf"(\d{{4}}-\d\d-\d\d[Tt ]\d\d:\d\d(?::\d\d(?:[.,]\d{{1,9}})?)?) ?({zones.AHEAD})?", re.ASCII)
 
 
 def parse_iso(
@@ -27,14 +27,15 @@ def parse_iso(
     notices: takes a sentence where stamps do not say that they are UTC, those of the column named. zone: that of stamps
     without one (`zones.utc`); None is UTC.
 
-    Accepted: `1978-07-24T06:00:00`, a blank in place of T, up to nine decimals, an ending Z or a zone as +02:00, which is
-    taken off. Raises BadInput naming the first row that is anything else (leap seconds, dates that do not exist).
+    Accepted: `1978-07-24T06:00:00`, a blank in place of T, no seconds or up to nine decimals after a point or comma, an
+    ending Z or UTC, or a zone as +02:00, which is taken off. Raises BadInput naming the first row that is anything else
+    (leap seconds, dates that do not exist).
     """
     stripped = np.char.strip(text)
     blank = stripped == b""
     matches = [_STAMP.fullmatch(stamp.decode("utf-8", "replace")) for stamp in stripped.tolist()]
     known = np.array([match is not None for match in matches], dtype=np.bool_)
-    plain = [match[1].upper() for match in matches if match is not None]
+    plain = [match[1].upper().replace(",", ".") for match in matches if match is not None]
     plain = [stamp if str(_FIRST_YEAR) <= stamp[:4] <= str(_LAST_YEAR) else "NaT" for stamp in plain]  # numpy wraps
     stated = [match[2] for match in matches if match is not None]
     stamps = np.full(text.size, _NAT)
@@ -75,7 +76,11 @@ def _other_form(stamp: str, column: str) -> str:
         return f", of a day that exists and a year from {_FIRST_YEAR} to {_LAST_YEAR}"
     found = text_format({column: [stamp]})
     if found is None:
-        return "; for numbers a column map (--map; `fluxtwin map` drafts one)" if stamp[:1].isdigit() else ""
+        return (
+            "; for numbers a column map (--map; `fluxtwin map` drafts one)"
+            if stamp.replace(".", "", 1).isdigit()
+            else ""
+        )
     columns = ", ".join(f'"{name}"' for name in column.split(" and "))
     return f'; or in a column map: time = {{ recipe = "text", columns = [{columns}], format = "{found[1]}" }}'
 

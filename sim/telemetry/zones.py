@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from datetime import UTC, datetime, timedelta, timezone, tzinfo
+from datetime import datetime, timedelta, timezone, tzinfo
 from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
 import numpy as np
@@ -11,14 +11,14 @@ import numpy as np
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.types import TimeArray
 
-AHEAD = r"[Zz]|[+-](?:0\d|1[0-4])(?::?[0-5]\d)?"  # from -12:00 to +14:00 are in use
+AHEAD = r"[Zz]|UTC|[+-](?:0\d|1[0-4])(?::?[0-5]\d)?"  # from -12:00 to +14:00 are in use
 _STEP = np.timedelta64(15, "m")
 """Zones change at full quarters of an hour."""
 
 
 def minutes(offset: str | None) -> int:
     """Minutes that an offset is ahead of UTC."""
-    if offset is None or offset in "Zz":
+    if offset is None or offset in ("Z", "z", "UTC"):
         return 0
     digits = offset[1:].replace(":", "").ljust(4, "0")
     return (-1 if offset[0] == "-" else 1) * (60 * int(digits[:2]) + int(digits[2:]))
@@ -29,7 +29,7 @@ def named(zone: str) -> tzinfo:
     if re.fullmatch(AHEAD, zone):
         return timezone(timedelta(minutes=minutes(zone)))
     try:
-        return UTC if zone == "UTC" else ZoneInfo(zone)
+        return ZoneInfo(zone)
     except (ZoneInfoNotFoundError, ValueError, OSError):
         wanted = "'+02:00' or a name of the IANA list, as 'Europe/Berlin' (pip install tzdata where no name is known)"
         raise BadInput(f"{zone[:40]!r} is not known", where="zone", wanted=wanted) from None

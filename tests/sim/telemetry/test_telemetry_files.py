@@ -194,6 +194,15 @@ def test_a_last_row_without_line_end_is_left_out_with_a_notice(tmp_path: Path) -
     assert "last row has no line end" in read.provenance["notices"]
 
 
+@pytest.mark.parametrize("form", ["{0} {1} UTC", '"{0}T{1},000"', "{0}T{2}Z", "{0} {1}.000+0000", "{0}T{1}UTC"])
+def test_usual_forms_of_iso_stamps_are_read(tmp_path: Path, form: str) -> None:
+    """As databases and spreadsheets write them: UTC in letters, a decimal comma, no seconds."""
+    lines = plain_lines()
+    stamps = [form.format(*(stamp := line[:19].split("T")), stamp[1][:5]) for line in lines[1:]]
+    other = [lines[0], *(stamp + line[20:] for stamp, line in zip(stamps, lines[1:], strict=True))]
+    assert np.array_equal(read_telemetry(save(tmp_path, other)).time, read_telemetry(save(tmp_path, lines)).time)
+
+
 def test_unknown_columns_are_left_out_with_a_notice(tmp_path: Path) -> None:
     lines = [f"{line},{extra}" for line, extra in zip(plain_lines(), ["mood", "a", "b", "c", "d"], strict=True)]
     assert (

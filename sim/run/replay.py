@@ -17,6 +17,7 @@ from fluxtwin.sim.run import chain
 from fluxtwin.sim.run.truth import Truth
 from fluxtwin.sim.run.world import world_along
 from fluxtwin.sim.scenario.scenario import Scenario
+from fluxtwin.sim.telemetry.build import velocity_from_positions
 from fluxtwin.sim.telemetry.record import Telemetry, recorded_columns
 from fluxtwin.sim.telemetry.telemetry_files import read_telemetry
 
@@ -27,22 +28,25 @@ def simulate_replay(scenario: Scenario, progress: Progress = silent) -> tuple[Te
     Those of a second magnetometer are left out where the scenario has none: they belong to another field.
     The recorded attitude stays the reported one; the true one is that less an error drawn from
     [attitude.reference]. Likewise the effects of the scenario change what was true, not what was recorded: the truth
-    gives orbit and attitude without those on orbit and attitude. Rows without position, velocity or attitude are left out.
-    Raises BadInput when the file lacks one of these columns altogether.
+    gives orbit and attitude without those on orbit and attitude. Rows without position, velocity or attitude are left out; a
+    velocity that was not recorded is that of the positions. Raises BadInput when the file has no position or no attitude.
     """
     assert scenario.replay is not None
     progress("reading the recorded file", 0.0)
     path = scenario.path_of(scenario.replay.telemetry)
     column_map = scenario.replay.column_map
     recorded = read_telemetry(path, column_map=None if column_map is None else scenario.path_of(column_map))
-    missing = [name for name in ("r_N_km", "v_N_km_s", "q_NB") if getattr(recorded, name) is None]
+    missing = [name for name in ("r_N_km", "q_NB") if getattr(recorded, name) is None]
     if missing:
         raise BadInput(
             f"the recorded file lacks {', '.join(missing)}",
             where=str(path),
-            wanted="position, velocity and attitude columns to replay",
+            wanted="position and attitude columns to replay",
         )
-    assert recorded.r_N_km is not None and recorded.v_N_km_s is not None and recorded.q_NB is not None
+    assert recorded.r_N_km is not None
+    if recorded.v_N_km_s is None:
+        recorded = recorded.replace(v_N_km_s=velocity_from_positions(recorded.time, np.asarray(recorded.r_N_km)))
+    assert recorded.v_N_km_s is not None and recorded.q_NB is not None
     whole = recorded.has_position & recorded.has_attitude & np.isfinite(recorded.v_N_km_s).all(axis=1)
     if not whole.any():
         raise BadInput("no row has position, velocity and attitude", where=str(path))

@@ -211,6 +211,11 @@ def test_replay_keeps_the_record_and_simulates_the_magnetometer(scenario, run, t
     assert np.array_equal(truth.dipole_B_Am2, recorded.dipole_B_Am2)
     corrected = telemetry.mag_B_nT + np.array([10.0, 20.0, 30.0])
     close(corrected, truth.field_B_nT, atol=1e-8, unit="nT", because="eq. 1 with b alone")
+    write_telemetry(run[0].replace(v_N_km_s=None), tmp_path / "recorded.nc")
+    known = telemetry.v_N_km_s[np.isin(telemetry.time, (found := simulate(load_scenario(path))[0]).time)]
+    close(
+        found.v_N_km_s, known, atol=1e-3, unit="km/s", because="a cubic spline through rows of 10 s, less at its ends"
+    )
     lacking = run[0].replace(q_NB=None)
     write_telemetry(lacking, tmp_path / "recorded.nc")
     with pytest.raises(BadInput, match="q_NB"):

@@ -145,6 +145,8 @@ class BatteryCurrent(SpacecraftField):
     def untestable(self, setting: Setting) -> str | None:
         if varies(self.values(setting)):
             return None
+        if self.condition_on(setting) == "sunlit":
+            return "no current was recorded, and the sunlight never changes"
         return "the battery neither charges and discharges in turn, nor changes its current: its field is a bias"
 
 

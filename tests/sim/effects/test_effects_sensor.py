@@ -194,6 +194,8 @@ def test_temperature_effects_need_a_temperature_or_a_shadow() -> None:
         effect = find_effect(name)
         assert effect.untestable(short) == "no temperature was recorded, and the sunlight never changes"
         assert effect.untestable(even) == "the temperature never changes"
+    battery = find_effect("battery_current")
+    assert battery.untestable(short) == "no current was recorded, and the sunlight never changes"
 
 
 def test_without_columns_geometry_stands_in(bare: Chain) -> None:

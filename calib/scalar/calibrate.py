@@ -207,6 +207,7 @@ def fit_rows(
     start = pack(np.zeros((3, 3)), center(problem.data), problem.data)
     require_observed(add_up(start, problem.data, noise=True), problem.names, how)
     solved, kept = _first(problem, start)
+    observability.require_samples(int(kept.sum()), problem.data.size + 1)
     a = kept.astype(np.float64)
     noise = scalar_noise(
         rows.B_nT, rows.time, residual(solved.p, problem.data) * problem.scale_nT, options.noise_nT, options.lsb_nT

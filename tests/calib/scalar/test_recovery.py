@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from fluxtwin.calib.scalar import calibrate
 from fluxtwin.calib.scalar.calibrate import ScalarFit, ScalarOptions, fit_rows
 from fluxtwin.calib.scalar.rows import ScalarRows
 from fluxtwin.sim.base.errors import NoAnswer
@@ -313,3 +314,17 @@ def test_blocks_allow_for_errors_that_are_constant_in_a_pass(passes: Any) -> Non
         blocks.append(pulls(fit_rows(rows, ScalarOptions(covariance="blocks", **known, robust="none"))))
     assert np.mean(np.square(white)) > 2.5
     assert 0.6 < np.mean(np.square(blocks)) < 1.6
+
+
+def test_the_rows_that_outliers_leave_must_be_enough(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nine rows for nine parameters leave nothing to take a sigma from."""
+    first = calibrate._first
+
+    def fewer(*given: Any) -> Any:
+        solved, kept = first(*given)
+        return solved, kept & (np.arange(kept.size) < 9)
+
+    monkeypatch.setattr(calibrate, "_first", fewer)
+    rng = np.random.default_rng(5)
+    with pytest.raises(NoAnswer, match="9 usable samples"):
+        fit_rows(rows_of(varied(rng, 20), rng), ScalarOptions())

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fluxtwin.sim.base.errors import BadInput, nearest
-from fluxtwin.sim.telemetry.telemetry_files import as_path
 
 if TYPE_CHECKING:
     from fluxtwin.sim.scenario.scenario import Scenario
@@ -35,6 +34,7 @@ def load_scenario(scenario: Path | str) -> Scenario:
     lists the names.
     """
     from fluxtwin.sim.scenario import scenario as files
+    from fluxtwin.sim.telemetry.telemetry_files import as_path
 
     name, path = str(scenario), as_path(scenario, "scenario", f"the path of a scenario as TOML, or {NAMES}")
     if path.exists() and not (path.is_dir() and name in SCENARIOS):

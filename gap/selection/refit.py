@@ -306,7 +306,7 @@ def _step(jacobian: FloatArray, residual: FloatArray, free: BoolArray) -> FloatA
 
 def _moving(jacobian: FloatArray) -> BoolArray:
     """(p,) parameters that move something, by more than rounding does."""
-    length = np.linalg.norm(jacobian.reshape(-1, jacobian.shape[2]), axis=0)
+    length = np.sqrt((jacobian**2).sum(axis=(0, 1)))
     return np.asarray(length > np.finfo(np.float64).eps * length.max(initial=0.0))
 
 

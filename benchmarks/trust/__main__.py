@@ -110,7 +110,7 @@ def reached(report: Path) -> list[Row]:
 def healthy() -> Row:
     """False alarms on perfect flights."""
     row, found = _logged(
-        "nulls", "no gap on a perfect simulation", "perfect flights that are not called so", "1 % at most"
+        "nulls", "no gap on a perfect simulation", "perfect flights in which the diagnosis finds a gap", "1 % at most"
     )
     alarms = {
         one["figure"].split(": ")[1]: one["right"] for one in found if one["figure"].startswith("false alarms on")
@@ -123,7 +123,9 @@ def healthy() -> Row:
 def sizes() -> Row:
     """Printed smallest sizes, flown: are they detected nine times in ten?"""
     figure = "printed smallest size, all of them: detected"
-    row, found = _logged("limits", figure, "effects of the printed smallest size that are not detected", "4 to 16 %")
+    row, found = _logged(
+        "limits", figure, "smallest sizes that a diagnosis printed and that are not detected when flown", "4 to 16 %"
+    )
     each = {one["figure"].split(",")[0].split()[-1]: one for one in found if one["figure"].endswith("flown: detected")}
     row.note = ", ".join(f"{name} {one['right']} of {one['of']} detected" for name, one in each.items())
     return row

@@ -122,12 +122,12 @@ def scalar_noise(
     r, step = residual_nT[some], np.diff(time[some]).astype("int64")
     near = np.flatnonzero(step <= 1.5 * np.median(step)) if step.size else np.zeros(0, dtype=int)
     whole = clipped_sigma(r) ** 2
+    scaled = whole * len(r) / max(len(r) - 9, 1)
     if near.size < _FEWEST_PAIRS:
-        scaled = whole * len(r) / max(len(r) - 9, 1)
         return _all_noise(scaled, lsb, f"{words}; {_TOO_FEW} of |B| is taken for noise")
     white = min(0.5 * clipped_sigma(np.diff(r)[near]) ** 2, whole)
     variance = np.maximum(np.full(3, white), lsb**2 / 12.0)
-    hidden = max(0.0, whole * len(r) / max(len(r) - 9, 1) - white)
+    hidden = max(0.0, scaled - white)
     spread = np.full((3, 3), hidden**2 / 12.0 + 3.0 * white**2 / near.size)
     size = plain(float(np.sqrt(white)))
     text = f"{size} nT per axis from short differences of the residual of |B|, taken as equal; {words}"

@@ -16,7 +16,7 @@ from fluxtwin.gap.problem.problem import CALIBRATION, calibrated, corrected
 from fluxtwin.gap.records.diagnosis import Closure, EffectParameter, Transfer
 from fluxtwin.gap.selection.forward import RATIOS
 from fluxtwin.gap.selection.named import parameters_of
-from fluxtwin.gap.selection.refit import Readings, covariance_of, refit
+from fluxtwin.gap.selection.refit import Readings, covariance_of, moving, refit
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import epoch
@@ -167,9 +167,7 @@ def reestimated(closure: Closure) -> dict[str, dict[str, EffectParameter]]:
 def _covariance(closure: Closure) -> FloatArray:
     """(p, p) of what was re-estimated and of what is named after it; not finite where the data see nothing."""
     jacobian = Readings(closure.problem, closure.whitener).jacobian([*closure.modelled, *closure.chosen])
-    return np.asarray(
-        covariance_of(jacobian, np.any(jacobian != 0.0, axis=(0, 1)))[0] * max(closure.variance, 1.0), dtype=np.float64
-    )
+    return np.asarray(covariance_of(jacobian, moving(jacobian))[0] * max(closure.variance, 1.0), dtype=np.float64)
 
 
 def _with_frozen(frozen: Mapping[str, Active], effect: Effect, theta: FloatArray) -> FloatArray:

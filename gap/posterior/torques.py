@@ -24,7 +24,7 @@ from fluxtwin.gap.selection.criterion import THRESHOLD, still_known, worth
 from fluxtwin.gap.selection.detectable import smallest
 from fluxtwin.gap.selection.forward import Search, begin, run
 from fluxtwin.gap.selection.named import SearchResult, axis_of, found_effect
-from fluxtwin.gap.selection.refit import Fit, covariance_of
+from fluxtwin.gap.selection.refit import Fit, covariance_of, moving
 from fluxtwin.gap.selection.search import ranking, support
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.chain import Active
@@ -173,7 +173,7 @@ def _named(search: Search[MomentumChannel], fitted: Fit, variance: float, known:
     """The chosen effects with their support, most significant first."""
     found = []
     # A value at its limit has its sigma too: the balance hardly sees some of them.
-    covariance, seen, _ = covariance_of(fitted.jacobian, np.any(fitted.jacobian != 0.0, axis=(0, 1)))
+    covariance, seen, _ = covariance_of(fitted.jacobian, moving(fitted.jacobian))
     for number, (part, (effect, theta)) in enumerate(zip(fitted.slices(), fitted.chosen, strict=True)):
         backing = support(search, fitted, number, variance)
         backing = backing._replace(probability=backing.probability * known)
@@ -218,5 +218,5 @@ def _held_out(channel: MomentumChannel, chosen: Sequence[Active]) -> FloatArray:
         design = white[train].reshape(3 * train.size, -1)
         length = np.maximum(np.linalg.norm(design, axis=0), 1e-300)
         theta = np.linalg.lstsq(design / length, target[train].reshape(-1), rcond=1e-6)[0] / length
-        out[held] = residual[held] - raw[held] @ np.where(np.any(white != 0.0, axis=(0, 1)), theta, 0.0)
+        out[held] = residual[held] - raw[held] @ np.where(moving(white), theta, 0.0)
     return out

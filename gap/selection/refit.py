@@ -166,7 +166,7 @@ def refit(
     active = _unpacked(active, vector)
     size = sum(len(theta) for _, theta in active[:count])
     covariance, seen, rank = covariance_of(jacobian, _free(jacobian, residual, vector, low, high))
-    rank_modelled = covariance_of(jacobian[:, :, :size], _moving(jacobian[:, :, :size]))[2]
+    rank_modelled = covariance_of(jacobian[:, :, :size], moving(jacobian[:, :, :size]))[2]
     return Fit(
         tuple(active[:count]), tuple(active[count:]), chi2, residual, jacobian, covariance, seen, rank, rank_modelled
     )
@@ -191,7 +191,7 @@ def settled(problem: Problem) -> Problem:
         vector = _packed(current.modelled_active)
         low, high = _limits(current.modelled_active)
         jacobian = current.in_row_axes(current.nuisance) * weight[:, :, None]
-        step = _step(jacobian, residual * weight, _moving(jacobian))
+        step = _step(jacobian, residual * weight, moving(jacobian))
         moved = _unpacked(current.modelled_active, np.clip(vector + step, low, high))
         current = realigned(dataclasses.replace(current, modelled_theta=tuple(theta for _, theta in moved)))
         if np.sqrt(np.mean((jacobian @ step) ** 2)) < 1e-3 * limit:
@@ -291,7 +291,7 @@ def _free(
     """Parameters that move something and do not push against a limit."""
     pull = np.einsum("nap,na->p", jacobian, residual)
     stuck = ((vector <= low) & (pull < 0)) | ((vector >= high) & (pull > 0))
-    return np.asarray(~stuck & _moving(jacobian))
+    return np.asarray(~stuck & moving(jacobian))
 
 
 def _step(jacobian: FloatArray, residual: FloatArray, free: BoolArray) -> FloatArray:
@@ -304,7 +304,7 @@ def _step(jacobian: FloatArray, residual: FloatArray, free: BoolArray) -> FloatA
     return step
 
 
-def _moving(jacobian: FloatArray) -> BoolArray:
+def moving(jacobian: FloatArray) -> BoolArray:
     """(p,) parameters that move something, by more than rounding does."""
     length = np.sqrt((jacobian**2).sum(axis=(0, 1)))
     return np.asarray(length > np.finfo(np.float64).eps * length.max(initial=0.0))

@@ -190,9 +190,9 @@ def _robust(
         nonlocal found
         whole[rows] = weights
         found = fit(found, corrected=False)
-        return found.residual_nT
+        return found.deleted
 
-    whole[rows] = rows_to_keep(found.residual_nT, refit, options.robust)
+    whole[rows] = rows_to_keep(found.deleted, refit, options.robust)
     return fit(None, corrected=True), whole
 
 

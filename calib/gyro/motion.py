@@ -30,8 +30,10 @@ class Stretch(NamedTuple):
     """(n, 3, 3) integral of R_k R_s' ds [s]: turned @ bias is the angle by which R_k is off, in body axes at k."""
     basis: FloatArray
     """(n, J) polynomials in time for the field in the axes of the first row."""
-    step_s: FloatArray
-    """(n - 1,) from row to row."""
+    steps_s: FloatArray
+    """(n - 1, n) integral over each step of a rate that is 1 at one row."""
+    errors_rad_s: FloatArray
+    """(n, 3) that were taken off the rates."""
 
 
 def cut(time: TimeArray, rate_B_rad_s: FloatArray, length_s: float) -> list[np.ndarray]:
@@ -63,16 +65,18 @@ def degree_for(length_s: float) -> int:
     return _DEGREES
 
 
-def follow(time: TimeArray, rate_B_rad_s: FloatArray, rows: np.ndarray, degree: int) -> Stretch:
+def follow(
+    time: TimeArray, rate_B_rad_s: FloatArray, errors_rad_s: FloatArray, rows: np.ndarray, degree: int
+) -> Stretch:
     """One stretch integrated: over a step with rates w1 and w2 the turn is the integral of a cubic spline through the rates,
     + (w1 x w2) dt^2 / 12.
 
     That is the Magnus series to fourth order, for the rotation from body axes to body axes (Iserles and Norsett 1999).
     """
     seconds = seconds_of(time[rows])
-    rate, dt = rate_B_rad_s[rows], np.diff(seconds)
-    whole = CubicSpline(seconds, rate).antiderivative()(seconds)
-    turn = np.diff(whole, axis=0) + np.cross(rate[:-1], rate[1:]) * (dt**2 / 12.0)[:, None]
+    rate, dt = rate_B_rad_s[rows] - errors_rad_s[rows], np.diff(seconds)
+    steps_s = np.diff(CubicSpline(seconds, np.eye(len(rows))).antiderivative()(seconds), axis=0)
+    turn = steps_s @ rate + np.cross(rate[:-1], rate[1:]) * (dt**2 / 12.0)[:, None]
     forward = Rotation.from_rotvec(-turn).as_matrix()
     half = Rotation.from_rotvec(-0.5 * turn).as_matrix()
     R, turned = np.empty((len(rows), 3, 3)), np.zeros((len(rows), 3, 3))
@@ -81,4 +85,4 @@ def follow(time: TimeArray, rate_B_rad_s: FloatArray, rows: np.ndarray, degree: 
         R[k + 1] = forward[k] @ R[k]
         turned[k + 1] = forward[k] @ turned[k] + half[k] * dt[k]
     x = 2.0 * seconds / max(seconds[-1], 1e-9) - 1.0
-    return Stretch(rows, R, turned, np.polynomial.chebyshev.chebvander(x, degree), dt)
+    return Stretch(rows, R, turned, np.polynomial.chebyshev.chebvander(x, degree), steps_s, errors_rad_s[rows])

@@ -14,6 +14,8 @@ Engineering, 2025). The common factor of M, c and a cannot be seen: the trace of
 
 Errors are correlated within a stretch, because the gyro's noise adds up there, and start anew in the next: a white error of
 each rate turns the field in all rows after it. Its size is found by restricted likelihood beside that of the reading's. The
+errors themselves are found with the parameters, and R_k follows the rates without them: with the measured rates the columns
+of S, of the bias and of the field would not cancel where they do in truth, and seem to tell of S what they do not. The
 covariance is that of these two, widened where the stretches scatter by more (`shrinkage`), with their leverage allowed for
 (CR2: Bell and McCaffrey 2002, Survey Methodology 28, 169).
 """
@@ -76,10 +78,14 @@ class Solved(NamedTuple):
     """(n,) rows that belong to a stretch."""
     residual_nT: FloatArray
     """(n, 3) field minus calibrated reading, body axes."""
+    deleted: FloatArray
+    """(n, 3) standardized deletion residual: the reading minus what all others predict, in units of its sigma."""
     variance_nT2: float
     """Of the reading, white."""
     gyro_noise_rad_s: float
     """Of one rate, white from row to row."""
+    errors_rad_s: FloatArray
+    """(N, 3) of each rate, found; zero in rows of no stretch."""
     stretches: int
 
 
@@ -91,9 +97,13 @@ class Cleared(NamedTuple):
     y: FloatArray
     """(3 n,) readings."""
     weight: FloatArray
-    """(3, 3) what white noise of the readings has in the scores of S: see `_least_squares`."""
+    """(n, 3, 3) information of each row about an error of its own reading."""
     log_determinant: float
     """Of the whitening and of the field's columns, for the likelihood."""
+    back: FloatArray
+    """(3 n, 3 n) from whitened residuals to scores, the inverse of their covariance times residuals."""
+    to_errors: FloatArray
+    """(3 n, 3 n) from scores to errors of the rates."""
 
 
 def solve(
@@ -109,7 +119,8 @@ def solve(
     start: Solved | None = None,
     corrected: bool = True,
 ) -> Solved:
-    """Gauss-Newton over the gyro's bias; all else is linear. The gyro's noise is found by restricted likelihood.
+    """Gauss-Newton over the gyro's bias and the errors of its rates; all else is linear. Their size is found by restricted
+    likelihood.
 
     columns: (N, J) that a field follows. weights: (N,) of the rows, 1 at the most. start: a solution with other weights, of
     which one step is made. corrected: for noise in the regressors; not before outliers have lost their weight. Raises
@@ -118,19 +129,20 @@ def solve(
     scale = float(np.sqrt((reading_nT**2).sum(axis=1).mean()))
     degree, m = degree_for(length_s), reading_nT / scale
     bias, S, c, u = np.zeros(3), np.zeros((3, 3)), np.zeros(3), np.zeros((columns.shape[1], 3))
+    errors = np.zeros((len(m), 3))
     rms = np.sqrt((columns**2).mean(axis=0))
     d = columns / rms
     variance = 0.0 if start is None else start.variance_nT2 / scale**2
     ratio = 0.0 if start is None else start.gyro_noise_rad_s**2 * scale**2 / start.variance_nT2
     if start is not None:
-        bias, S, c = start.bias_rad_s, start.S, -start.b_nT / scale
+        bias, S, c, errors = start.bias_rad_s, start.S, -start.b_nT / scale, start.errors_rad_s.copy()
         u = (start.fields_nT * rms[:, None] / scale) @ (np.eye(3) + S).T
     rows = np.concatenate(cuts)
     free = 8 if with_S else 0
     size = free + u.size + 6
     freedom = max(1.0, 3.0 * float(weights[rows].sum()) - 3.0 * (degree + 1) * len(cuts) - size)
     for turn in range(_ROUNDS if start is None else 1):
-        stretches = [follow(time, rate_B_rad_s - bias, one, degree) for one in cuts]
+        stretches = [follow(time, rate_B_rad_s - bias, errors, one, degree) for one in cuts]
         true = m + m @ S.T - c - d @ u
         if start is None and turn == _ROUNDS // 2:
             ratio = _ratio(stretches, m, true, d, weights, freedom, with_S=with_S)
@@ -140,6 +152,8 @@ def solve(
         S = (BASIS_S @ theta[:free]).reshape(3, 3) if with_S else S
         u = theta[free:-6].reshape(-1, 3)
         c, bias = theta[-6:-3], bias + theta[-3:]
+        for one, part in zip(stretches, parts, strict=True):
+            errors[one.rows] = (part.to_errors @ (part.back @ (part.y - part.G @ theta))).reshape(-1, 3)
     covariance = _covariance(parts, theta, normal, variance)
     back = np.zeros((12, size))
     if with_S:
@@ -162,8 +176,11 @@ def solve(
         bias_sigma_rad_s=np.sqrt(np.diag(covariance)[-3:]),
         rows=rows,
         residual_nT=np.vstack([_residual(one, reading_nT - d @ s * scale, S, c * scale, weights) for one in stretches]),
+        deleted=np.vstack([_deleted(one, part, theta, weights) for one, part in zip(stretches, parts, strict=True)])
+        / np.sqrt(variance),
         variance_nT2=variance * scale**2,
         gyro_noise_rad_s=float(np.sqrt(ratio * variance)),
+        errors_rad_s=errors,
         stretches=len(stretches),
     )
 
@@ -171,13 +188,13 @@ def solve(
 def _least_squares(parts: Sequence[Cleared], variance: float) -> tuple[FloatArray, FloatArray]:
     """The parameters and the normal matrix, corrected for noise in the regressors.
 
-    The reading stands on both sides. With D the sum over rows of the diagonal blocks of the cleared weight matrix, noise of
-    `variance` adds variance D (x) 1 to the information about S, and -variance D to its score: taken off.
+    The reading stands on both sides. With D the sum of the rows' `weight`, noise of `variance` adds
+    variance D (x) 1 to the information about S, and -variance D to its score: taken off.
     """
     normal = np.sum([one.G.T @ one.G for one in parts], axis=0)
     right = np.sum([one.G.T @ one.y for one in parts], axis=0)
     if variance > 0.0:
-        D = variance * np.sum([one.weight for one in parts], axis=0)
+        D = variance * np.sum([one.weight.sum(axis=0) for one in parts], axis=0)
         normal[:8, :8] -= BASIS_S.T @ np.kron(D, np.eye(3)) @ BASIS_S
         right[:8] += BASIS_S.T @ D.reshape(9)
     return np.linalg.lstsq(normal, right, rcond=1e-14)[0], np.asarray(normal)
@@ -202,7 +219,7 @@ def _ratio(
         logs = sum(one.log_determinant for one in parts)
         return 0.5 * (logs + float(np.linalg.slogdet(normal)[1]) + freedom * float(np.log(left)))
 
-    step_s = float(np.median(np.concatenate([one.step_s for one in stretches])))
+    step_s = float(np.median(np.concatenate([one.steps_s.sum(axis=1) for one in stretches])))
     grid = np.log(_RATIOS / step_s**2)
     values = [minus_log(x) for x in grid]
     at = int(np.argmin(values))
@@ -226,33 +243,29 @@ def _cleared(
     cross = np.ascontiguousarray(-of_turns(B))
     columns.append(-(cross @ one.turned).reshape(n * 3, 3))
     field = np.einsum("nij,np->nipj", one.R, one.basis).reshape(n * 3, -1)
-    whole = np.hstack([field, *columns, here.reshape(-1, 1)])
-    V = np.diag(np.repeat(1.0 / np.maximum(weights[one.rows], _LEAST_WEIGHT), 3))
-    if ratio > 0:
-        of_noise = _of_gyro_noise(one, cross)
-        V += ratio * (of_noise @ of_noise.T)
+    of_noise = _of_gyro_noise(one, cross)
+    reading = here.reshape(-1) - of_noise @ one.errors_rad_s.reshape(-1)
+    whole = np.hstack([field, *columns, reading[:, None]])
+    V = np.diag(np.repeat(1.0 / np.maximum(weights[one.rows], _LEAST_WEIGHT), 3)) + ratio * (of_noise @ of_noise.T)
     half = np.linalg.cholesky(V)
     white = solve_triangular(half, whole, lower=True)
     q = field.shape[1]
     Q, triangle = np.linalg.qr(white[:, :q])
     rest = white[:, q:] - Q @ (Q.T @ white[:, q:])
     down = solve_triangular(half, np.eye(3 * n), lower=True)
-    seen = (down - Q @ (Q.T @ down)).reshape(3 * n, n, 3)
+    back = (down - Q @ (Q.T @ down)).T
+    weight = np.einsum("kia,kja->kij", *[back.reshape(n, 3, 3 * n)] * 2)
     log = 2.0 * float(np.log(np.diag(half)).sum() + np.log(np.abs(np.diag(triangle))).sum())
-    return Cleared(rest[:, :-1], rest[:, -1], np.einsum("aki,akj->ij", seen, seen), log)
+    return Cleared(rest[:, :-1], rest[:, -1], weight, log, back, -ratio * of_noise.T)
 
 
 def _of_gyro_noise(one: Stretch, cross: FloatArray) -> FloatArray:
-    """(3 n, 3 n) of unit errors of each rate: half in the step before it and half in the one after, they turn the field in
-    all later rows."""
+    """(3 n, 3 n) of unit errors of each rate: in the steps near it, they turn the field in all later rows."""
     n = len(one.rows)
     later = np.tril(np.ones((n, n)), -1)[:, :-1]
     R = np.einsum("kij,lmj->klim", one.R, one.R[1:])  # from body axes after a step to those at k
-    steps = np.einsum("kij,kljm,kl,l->kilm", cross, R, later, 0.5 * one.step_s, optimize=True)
-    rates = np.zeros((n, 3, n, 3))
-    rates[:, :, :-1] += steps
-    rates[:, :, 1:] += steps
-    return np.asarray(rates.reshape(3 * n, 3 * n))
+    steps = np.einsum("kij,kljm,kl->kiml", cross, R, later, optimize=True)
+    return np.ascontiguousarray((steps @ one.steps_s).swapaxes(2, 3)).reshape(3 * n, 3 * n)
 
 
 def fields_without_errors(
@@ -265,7 +278,7 @@ def fields_without_errors(
 ) -> FloatArray:
     """(n, 3) field in body axes at the rows of the stretches, if S and b were zero."""
     degree, none = degree_for(length_s), np.zeros((3, 3))
-    stretches = [follow(time, rate_B_rad_s, one, degree) for one in cuts]
+    stretches = [follow(time, rate_B_rad_s, np.zeros_like(rate_B_rad_s), one, degree) for one in cuts]
     found = [reading_nT[one.rows] + _residual(one, reading_nT, none, none[0], weights) for one in stretches]
     return np.vstack(found)
 
@@ -295,7 +308,7 @@ def drops(
     whole, at = np.ones(len(m)), (8 if with_S else 0) + 3 * fixed.shape[1]
     gram = np.zeros((at + 7 + 3 * tried.shape[1],) * 2)
     for rows in cuts:
-        one = follow(time, rate_B_rad_s - solved.bias_rad_s, rows, degree_for(length_s))
+        one = follow(time, rate_B_rad_s - solved.bias_rad_s, solved.errors_rad_s, rows, degree_for(length_s))
         clear = _cleared(one, m, true, d, whole, ratio, with_S=with_S)
         seen = np.column_stack([clear.G[:, :at], clear.G[:, -6:], clear.G[:, at:-6], clear.y])
         gram += seen.T @ seen
@@ -310,6 +323,16 @@ def _residual(one: Stretch, reading_nT: FloatArray, S: FloatArray, c: FloatArray
     columns = np.einsum("nij,np->nipj", one.R, one.basis).reshape(len(one.rows) * 3, -1)
     Q = np.linalg.qr(columns * root[:, None])[0]
     return np.asarray((Q @ (Q.T @ (calibrated * root)) / root - calibrated).reshape(-1, 3))
+
+
+def _deleted(one: Stretch, part: Cleared, theta: FloatArray, weights: FloatArray) -> FloatArray:
+    """(n, 3) of readings and what the others in the stretch predict, over the root of the covariance, for unit variance."""
+    scores = (part.back @ (part.y - part.G @ theta)).reshape(-1, 3)
+    value, vector = np.linalg.eigh(np.linalg.inv(part.weight))
+    # as if the row had its whole weight; its own noise is one
+    value = np.maximum(value - 1.0 / np.maximum(weights[one.rows], _LEAST_WEIGHT)[:, None] + 1.0, 1.0)
+    off = np.linalg.solve(part.weight, scores[:, :, None])[:, :, 0]
+    return np.asarray(np.einsum("kij,kj,klj,kl->ki", vector, value**-0.5, vector, off))
 
 
 def _covariance(parts: Sequence[Cleared], theta: FloatArray, normal: FloatArray, variance: float) -> FloatArray:

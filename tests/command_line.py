@@ -96,6 +96,22 @@ def cli(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> 
 
 
 @pytest.fixture
+def noting(cli: Cli) -> Cli:
+    """`cli` that shows warnings as a process of its own does; in `cli` they are errors."""
+
+    def show(message: Warning | str, kind: type[Warning], file: str, line: int, *_: object) -> None:
+        sys.stderr.write(warnings.formatwarning(message, kind, file, line))
+
+    def call(*arguments: object) -> Outcome:
+        with warnings.catch_warnings():
+            warnings.simplefilter("default", UserWarning)
+            warnings.showwarning = show
+            return cli(*arguments)
+
+    return call
+
+
+@pytest.fixture
 def process() -> Cli:
     """`process("--help")`: call the installed command line in a process of its own."""
 

@@ -119,10 +119,10 @@ def test_another_spacecraft_is_refused(cli: Cli, flight: Path, tmp_path: Path, s
 
 @pytest.mark.parametrize(("name", "rows"), [("near", 60), ("late", 200)])
 @pytest.mark.parametrize("verb", ["apply", "yaw"])
-def test_another_time_is_said(process: Cli, flight: Path, tmp_path: Path, verb: str, name: str, rows: int) -> None:
+def test_another_time_is_said(noting: Cli, flight: Path, tmp_path: Path, verb: str, name: str, rows: int) -> None:
     """An hour beyond the end of the calibration's data, and a week after it."""
     more = ("--out", tmp_path / "o.nc") if verb == "apply" else ()
-    outcome = process(verb, flight / f"{name}.nc", "--calibration", flight / "known.toml", *more)
+    outcome = noting(verb, flight / f"{name}.nc", "--calibration", flight / "known.toml", *more)
     assert outcome.status == 0  # type: ignore[attr-defined]
     said = f"{rows} of the 200 rows here are of another time"
     assert said in outcome.err and "2012-03-01T03:19:00Z" in outcome.err  # type: ignore[attr-defined]

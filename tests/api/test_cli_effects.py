@@ -72,11 +72,11 @@ def test_simulate_with_effects_writes_them_to_the_truth_only(cli: Cli, tmp_path:
     assert wrong.err.count("\n") == 1
 
 
-def test_simulate_says_which_effect_had_nothing_to_act_on(process: Cli, tmp_path: Path) -> None:
+def test_simulate_says_which_effect_had_nothing_to_act_on(noting: Cli, tmp_path: Path) -> None:
     (tmp_path / "s.toml").write_text(
         SCENARIO + "[effects.sun_sensor_head_misalignment]\nturn_deg = [0.1, 0.0, 0.0]\n", encoding="utf-8"
     )
-    outcome = process("simulate", tmp_path / "s.toml", "--out", tmp_path / "t.nc")
+    outcome = noting("simulate", tmp_path / "s.toml", "--out", tmp_path / "t.nc")
     assert outcome.status == 0
     assert "note: effects.sun_sensor_head_misalignment is left out: the telemetry has no column" in outcome.err
     assert (tmp_path / "t.nc").exists()

@@ -56,12 +56,12 @@ def test_rows_outside_are_warned_of_in_python(files: Path) -> None:
 
 
 @pytest.mark.parametrize("verb", ["apply", "yaw"])
-def test_rows_after_the_expiry_are_counted(files: Path, tmp_path: Path, process: Cli, verb: str) -> None:
+def test_rows_after_the_expiry_are_counted(files: Path, tmp_path: Path, noting: Cli, verb: str) -> None:
     known, time = fluxtwin.Calibration.from_toml(files / "c.toml"), fluxtwin.read(files / "t.nc").time
     replace(known, expires=time[180]).to_toml(tmp_path / "c.toml")
     assert fluxtwin.Calibration.from_toml(tmp_path / "c.toml").expires == time[180]
     more = ("--out", tmp_path / "o.nc") if verb == "apply" else ()
-    done = process(verb, files / "t.nc", "--calibration", tmp_path / "c.toml", *more)
+    done = noting(verb, files / "t.nc", "--calibration", tmp_path / "c.toml", *more)
     assert done.status == 0 and "rows here are of another time, 120 are after 2" in done.err and "expires" in done.err
     assert done.err.count("calibration was made") == 1 and "unchanged" not in done.err, "one note, which is true"
-    assert "expires" not in process(verb, files / "t.nc", "--calibration", files / "c.toml", *more, "--force").err
+    assert "expires" not in noting(verb, files / "t.nc", "--calibration", files / "c.toml", *more, "--force").err

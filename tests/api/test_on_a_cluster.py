@@ -1,15 +1,16 @@
-"""Several files diagnosed and calibrated on a real Dask scheduler with two workers, one of which is killed."""
+"""Files diagnosed and calibrated, and a campaign, on a real Dask scheduler; each loses one of the workers."""
 
 from __future__ import annotations
 
 import signal
 import tomllib
+from collections.abc import Callable, Iterator
 from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
 from command_line import Cli
-from dask_cluster import cluster
+from dask_cluster import Cluster, cluster
 from worlds import scenario_text
 
 import fluxtwin
@@ -29,8 +30,28 @@ with_dask = pytest.mark.skipif(
 MAGNETOMETER = "[magnetometer]\nb_nT = [1000.0, -500.0, 300.0]\nnoise_nT = 20.0\n"
 
 
+@pytest.fixture(scope="module")
+def far(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
+    """Three workers: two tests may kill one each."""
+    with cluster(tmp_path_factory.mktemp("far"), 3) as begun:
+        yield begun
+
+
+def killing_one(far: Cluster, most: float) -> tuple[Callable[[str, float], None], Callable[[], bool]]:
+    """A report of progress that kills a worker before that share is done; and whether it died, while another lives."""
+    living = [worker for worker in far.workers if worker.poll() is None]
+
+    def kill(words: str, share: float) -> None:
+        if 0.0 < share < most and living[0].poll() is None:
+            living[0].send_signal(signal.SIGKILL)
+
+    return kill, lambda: living[0].wait() == -signal.SIGKILL and all(one.poll() is None for one in living[1:])
+
+
 @with_dask
-def test_the_bits_are_those_of_this_machine_and_a_lost_worker_costs_nothing(tmp_path: Path, cli: Cli) -> None:
+def test_the_bits_are_those_of_this_machine_and_a_lost_worker_costs_nothing(
+    far: Cluster, tmp_path: Path, cli: Cli
+) -> None:
     files = []
     for number in range(3):
         (tmp_path / "s.toml").write_text(
@@ -43,18 +64,12 @@ def test_the_bits_are_those_of_this_machine_and_a_lost_worker_costs_nothing(tmp_
             encoding="utf-8",
         )
         files.append(fluxtwin.write(fluxtwin.simulate(str(tmp_path / "s.toml"))[0], tmp_path / f"{number}.nc"))
-    records = {str(path): fluxtwin.read(path) for path in files}
-    with cluster(tmp_path, 2) as far:
-        on_both = ("--scheduler", far.address, "--out", tmp_path / "far.toml")
-        assert cli("calibrate", *files, *on_both).status == 0
-        said = cli("diagnose", *files[:2], "--scheduler", far.address, "--json", tmp_path / "far.json")
-
-        def kill_one(words: str, share: float) -> None:
-            if far.workers[0].poll() is None:
-                far.workers[0].send_signal(signal.SIGKILL)
-
-        found = diagnoses(records, {}, scheduler=far.address, progress=kill_one)
-        assert far.workers[0].wait() != 0 and far.workers[1].poll() is None
+    on_all = ("--scheduler", far.address, "--out", tmp_path / "far.toml")
+    assert cli("calibrate", *files, *on_all).status == 0
+    said = cli("diagnose", *files[:2], "--scheduler", far.address, "--json", tmp_path / "far.json")
+    kill, one_died = killing_one(far, 1.0)
+    found = diagnoses({str(path): fluxtwin.read(path) for path in files}, {}, scheduler=far.address, progress=kill)
+    assert one_died()
     assert cli("calibrate", *files, "--out", tmp_path / "here.toml").status == 0
     here, there = ((tmp_path / name).read_text(encoding="utf-8") for name in ("here.toml", "far.toml"))
     assert tomllib.loads(here) == tomllib.loads(there)
@@ -64,21 +79,16 @@ def test_the_bits_are_those_of_this_machine_and_a_lost_worker_costs_nothing(tmp_
 
 
 @with_dask
-def test_a_campaign_loses_nothing_with_a_worker(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_campaign_loses_nothing_with_a_worker(far: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Four runs, a part each, so that a worker is lost while others wait; then the same runs here."""
     monkeypatch.setattr(fluxtwin.campaigning, "_IN_PART", 1)
     draws = '[draws]\n"magnetometer.b_nT" = { normal = 1500.0 }\n'
     (tmp_path / "s.toml").write_text(
         scenario_text(MAGNETOMETER + draws, segment="samples = 300, step_s = 20.0"), encoding="utf-8"
     )
-    with cluster(tmp_path, 2) as far:
-
-        def kill_one(words: str, share: float) -> None:
-            if 0.0 < share < 0.9 and far.workers[0].poll() is None:
-                far.workers[0].send_signal(signal.SIGKILL)
-
-        there = fluxtwin.campaign(tmp_path / "s.toml", 4, tmp_path / "far", scheduler=far.address, progress=kill_one)
-        assert far.workers[0].wait() == -signal.SIGKILL and far.workers[1].poll() is None
+    kill, one_died = killing_one(far, 0.9)
+    there = fluxtwin.campaign(tmp_path / "s.toml", 4, tmp_path / "far", scheduler=far.address, progress=kill)
+    assert one_died()
     here = fluxtwin.campaign(tmp_path / "s.toml", 4, tmp_path / "here", jobs=1)
     assert len(there.runs) == 4 and there.runs == here.runs and there.summary == here.summary
     names = sorted(path.name for path in (tmp_path / "here").iterdir())

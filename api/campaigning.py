@@ -70,7 +70,9 @@ def campaign(
     """
     require_workers(jobs, scheduler)
     folder = Path(out)
-    plan = make_plan(as_scenario(scenario), runs, seed, min(_IN_PART, max(runs, 1)))
+    if runs < 1:
+        raise BadInput(f"{runs} runs", where="--runs", wanted="1 or more")
+    plan = make_plan(as_scenario(scenario), runs, seed, min(_IN_PART, runs))
     for number in range(plan.chunks):
         plan.checked(number)
     files.writable_folder(folder)

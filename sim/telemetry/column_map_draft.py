@@ -71,7 +71,7 @@ _FRAME_WORDS = {
 }
 """Frame by the words that a name may have; the first that fits counts."""
 _KINDS = (
-    ("dipole", re.compile(r"dipole|mtq|torquer|mag_?(rod|torq)")),
+    ("dipole", re.compile(r"^(?!.*(pct|percent|duty|pwm)).*(dipole|mtq|torquer|mag_?(rod|torq))")),
     ("mag", re.compile(r"mag|fgm|tam|field|fluxgate|compass|mtm|mgm|hmc|rm3100|lis3mdl|bmm|mmc5")),
     ("rate", re.compile(r"rate|gyr|omega|ang_?vel")),
     ("velocity", re.compile(r"vel|(gps|gnss|orb|sc|sat|eci|ecef)v(_|$)")),
@@ -109,7 +109,7 @@ _SIZES = {
 """Typical sizes of a vector by unit: a guess where the name says none. Torquers of small spacecraft have up to 15 A m2."""
 _SUNLIT = re.compile(r"sun_?(lit|light|flag|presen)|in_sun|illum|(?P<shadow>eclipse|shadow|umbra)")
 _CURRENT = re.compile(
-    r"curr|(^|_)cur(_|$)|(?<!st)amp(s|ere)?(_|$)|^i_?(sa|sol|bat|load|bus)|(^|_)i_|_i(_|$)|_m?a$|duty|pwm|heater|load|(^|_)on(_|$)|enabled"
+    r"curr|(^|_)cur(_|$)|(?<!st)amp(s|ere)?(_|$)|^i_?(sa|sol|bat|load|bus)|(^|_)i_|_i(_|$)|_m?a$|duty|pwm|pct|percent|heater|load|(^|_)on(_|$)|enabled"
 )
 _COUNTS = re.compile(r"cnt|count|adc|(^|_)raw(_|$)", re.IGNORECASE)
 _MOST_A = 30.0

@@ -464,6 +464,14 @@ def test_a_dipole_that_no_small_torquer_has_is_in_thousandths(tmp_path: Path, si
     assert f'dipole = {{ from = ["MTQ_X", "MTQ_Y", "MTQ_Z"], unit = "{unit}" }}' in draft([tmp_path / "t.csv"])
 
 
+def test_a_share_of_a_torquers_most_is_no_dipole(tmp_path: Path) -> None:
+    names, share = "mag_x_nT,mag_y_nT,mag_z_nT,mtq_x_pct,mtq_y_pct,mtq_z_pct", [0, 100]
+    rows = [f"2026-03-01T00:00:{second:02d}Z,2e4,{second},-3e4,{share[second % 2]},0,-100" for second in range(60)]
+    (tmp_path / "t.csv").write_text("\n".join([f"time,{names}", *rows]) + "\n", encoding="utf-8")
+    text = draft([tmp_path / "t.csv"])
+    assert 'driver_mtq_x_pct = { from = "mtq_x_pct" }' in text and "dipole = { from" not in text
+
+
 def test_bare_names_of_a_unit_norm_are_a_quaternion_and_a_place_has_fill_values(tmp_path: Path) -> None:
     place = np.column_stack([np.linspace(-70.0, 70.0, 200), np.linspace(0.0, 50.0, 200), np.full(200, 5.5e5)])
     place[7] = [-9999.0, 3.0, 5.5e5]

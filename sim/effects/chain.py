@@ -65,9 +65,9 @@ class Chain:
             return self._baseline["telemetry"]
         stop_if_asked()
         here: list[list[_Step]] = [[] for _ in STAGES]
-        for number, stage in enumerate(STAGES):
-            for effect, theta in _applied(self.setting, wanted, stage, None):
-                here[number].append((effect, theta, (id(effect), theta.tobytes())))
+        for stage in {effect.stage for effect, _ in wanted}:
+            steps = _applied(self.setting, wanted, stage, None)
+            here[STAGES.index(stage)] = [(effect, theta, (id(effect), theta.tobytes())) for effect, theta in steps]
         first = next(number for number, steps in enumerate(here) if steps)
         keys = list(accumulate((tuple(step[2] for step in steps) for steps in here), operator.add))
         signal, begin = self._baseline[STAGES[first]], first

@@ -50,7 +50,7 @@ class Nonlinearity(SignalEffect):
     degree: ClassVar[int]
 
     def apply(self, signal: Signal, theta: FloatArray) -> Signal:
-        terms = products(signal.reading, self.degree)
+        terms = signal.products(self.degree, products)
         return signal.with_reading(signal.reading + mapped(theta.reshape(3, -1), terms))
 
 

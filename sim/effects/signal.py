@@ -9,7 +9,7 @@ prediction has no noise and no rounding, so its differences are the Jacobians of
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, MutableMapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Literal, Protocol
@@ -202,6 +202,8 @@ class Signal:
     """By how much what a sensor at fault measures is turned: `sun_B`, `nadir_B`; only while simulating."""
     _of_ambient_nT: dict[Hashable, FloatArray] = field(default_factory=dict, init=False, repr=False)
     """What was made of attitude and ambient field, the latest few: every signal that has the same shares it."""
+    _of_reading: MutableMapping[int, FloatArray] = field(default_factory=dict, init=False, repr=False)
+    """Products of the reading's components, by their degree."""
 
     @property
     def rows(self) -> int:
@@ -329,9 +331,15 @@ class Signal:
 
     def with_reading(self, reading_B_nT: FloatArray) -> Signal:
         """Another reading."""
-        return self._changed(reading_B_nT=reading_B_nT)
+        return self._changed(reading_B_nT=reading_B_nT, _of_reading={})
 
-    def _changed(self, **values: FloatArray | None) -> Signal:
+    def products(self, degree: int, make: Callable[[FloatArray, int], FloatArray]) -> FloatArray:
+        """(N, M) products of the reading's components that `make` makes, once."""
+        if degree not in self._of_reading:
+            self._of_reading[degree] = make(self.reading, degree)
+        return self._of_reading[degree]
+
+    def _changed(self, **values: FloatArray | MutableMapping[int, FloatArray] | None) -> Signal:
         """Other values of what comes after the ambient field: copied by hand, which takes a tenth of the time."""
         changed = object.__new__(Signal)
         changed.__dict__.update(self.__dict__, **values)

@@ -279,5 +279,8 @@ def board(
 
 def whitened(candidates: Sequence[Candidate], whitener: Whitens, rows: int) -> FloatArray:
     """(M, 3, P) whitened live columns of all candidates in turn; M rows."""
-    parts = [whitener.apply(candidate.jacobian[:, :, candidate.live]) for candidate in candidates]
-    return np.concatenate(parts, axis=2) if parts else np.zeros((rows, 3, 0))
+    ends = np.cumsum([0, *(int(candidate.live.sum()) for candidate in candidates)])
+    white = np.empty((rows, 3, int(ends[-1])))
+    for candidate, first, end in zip(candidates, ends, ends[1:], strict=False):
+        white[:, :, first:end] = whitener.apply(candidate.jacobian[:, :, candidate.live])
+    return white

@@ -36,7 +36,7 @@ from fluxtwin.gap.selection.forward import Search, begin, run, without
 from fluxtwin.gap.selection.named import SearchResult
 from fluxtwin.gap.selection.refit import Fit, Readings
 from fluxtwin.gap.selection.score import Board
-from fluxtwin.gap.selection.search import result_of
+from fluxtwin.gap.selection.search import by_gain, result_of
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.base import SignalEffect
 from fluxtwin.sim.effects.chain import Active
@@ -62,6 +62,26 @@ class Explanation:
     unknown: float
     """Of its names and of what is left, taken for something that the catalogue does not have; minus infinity where what is
     left is no more than noise and shape error."""
+
+
+@dataclass(frozen=True, eq=False)
+class Weighed:
+    """A search and the explanation of it that weighs most, before the names in it are weighed against others."""
+
+    searched: _Searched
+    chosen: Explanation
+    known: float
+    """As in `Answer`, and so are the next two."""
+    worth: float
+    handicap: float
+
+    def left(self, problem: Problem, shapes: Sequence[Finding]) -> tuple[FloatArray, FloatArray]:
+        """Residual (N, 3) with the shapes in it, and columns (N, 3, q) of all that was fitted."""
+        fit = self.chosen.fit
+        modelled, order = fit.modelled[: len(problem.modelled)], by_gain(self.searched[0], fit)
+        active = [*modelled, *(fit.chosen[number] for number in order)]
+        signals = problem.derivatives(signals_of(shapes))
+        return problem.residual_of(active), np.concatenate([problem.derivatives(active), signals], axis=2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,8 +117,19 @@ def answered_with(
     shapes: tuple[Finding, ...] = (),
 ) -> Answer:
     """The search under one whitening, beside shapes: those that are signals are fitted in every test."""
-    searched = _searched(_beside(problem, signals_of(shapes)), whitener, known)
-    return _concluded(problem, robust, searched, dictionary, shapes, ())
+    return concluded(problem, robust, weighed_with(problem, robust, whitener, dictionary, known, shapes), shapes)
+
+
+def weighed_with(
+    problem: Problem,
+    robust: RobustRows,
+    whitener: Whitener,
+    dictionary: Dictionary,
+    known: Known,
+    shapes: Sequence[Finding],
+) -> Weighed:
+    """As `answered_with`, but for what `concluded` adds."""
+    return _weighed(robust, _searched(_beside(problem, signals_of(shapes)), whitener, known), dictionary, ())
 
 
 def _searched(problem: Problem, whitener: Whitener, known: Known) -> _Searched:
@@ -107,27 +138,24 @@ def _searched(problem: Problem, whitener: Whitener, known: Known) -> _Searched:
     return under_way, untestable, run(under_way)
 
 
-def _concluded(
-    problem: Problem,
-    robust: RobustRows,
-    searched: _Searched,
-    dictionary: Dictionary,
-    shapes: tuple[Finding, ...],
-    others: Sequence[NoiseModel],
-) -> Answer:
-    under_way, untestable, path = searched
-    whitener, signals = under_way.channel.whitener, signals_of(shapes)
+def _weighed(robust: RobustRows, searched: _Searched, dictionary: Dictionary, others: Sequence[NoiseModel]) -> Weighed:
+    """others: noise models that an explanation may have as well."""
+    under_way, _, path = searched
     lefts = [structure_left(under_way, fit, dictionary) for fit, _ in path]
     gained = _gained(under_way, [fit for fit, _ in path], others, robust)
     explanations = weighed(under_way, path, lefts, gained)
     best, share, total = likeliest(explanations)
-    chosen = explanations[best]
-    result = result_of(under_way, untestable, chosen.fit, chosen.beside)
-    result = _stripped(problem, result, signals)
-    alone = problem.derivatives(result.modelled_alone)
-    fitted = problem.derivatives([*result.modelled, *result.chosen]) if result.chosen else alone
-    fitted = np.concatenate([fitted, problem.derivatives(signals)], axis=2)
-    return Answer(whitener.noise, robust, whitener, result, alone, fitted, chosen.left, share, total, gained[0], shapes)
+    return Weighed(searched, explanations[best], share, total, gained[0])
+
+
+def concluded(problem: Problem, robust: RobustRows, found: Weighed, shapes: tuple[Finding, ...] = ()) -> Answer:
+    """The answer that a weighed search with these shapes leads to."""
+    (under_way, untestable, _), chosen = found.searched, found.chosen
+    whitener = under_way.channel.whitener
+    result = _stripped(problem, result_of(under_way, untestable, chosen.fit, chosen.beside), signals_of(shapes))
+    alone, (_, fitted) = problem.derivatives(result.modelled_alone), found.left(problem, shapes)
+    rest = (chosen.left, found.known, found.worth, found.handicap, shapes)
+    return Answer(whitener.noise, robust, whitener, result, alone, fitted, *rest)
 
 
 def likeliest(explanations: Sequence[Explanation]) -> tuple[int, float, float]:
@@ -237,11 +265,12 @@ def noise_and_answer(problem: Problem, dictionary: Dictionary, known: Known) -> 
         if not fit.chosen:
             break
         choice = noise_beside(problem, fit.active)
+        del searched  # there is room for one
         searched = _searched(problem, whitener_of(problem, choice.noise, choice.robust.weights), known)
         if {effect for effect, _ in searched[2][-1][0].chosen} == {effect for effect, _ in fit.chosen}:
             break
     others = [] if choice is first else [first.noise]
-    return _concluded(problem, choice.robust, searched, dictionary, (), others)
+    return concluded(problem, choice.robust, _weighed(choice.robust, searched, dictionary, others))
 
 
 def signals_of(shapes: Sequence[Finding]) -> list[Active]:

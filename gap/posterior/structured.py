@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import expit
@@ -21,11 +22,20 @@ from fluxtwin.gap.detectors.lines import independent_frequencies, line_near, whe
 from fluxtwin.gap.detectors.random_walk import random_walk
 from fluxtwin.gap.detectors.residual_structure import Structure, residual_structure
 from fluxtwin.gap.hypotheses.evidence import Dictionary
-from fluxtwin.gap.linear.projection import ProjectedResidual, projected
-from fluxtwin.gap.noise.choice import NoiseModel, choose_noise, whitener_of
+from fluxtwin.gap.linear.projection import projected
+from fluxtwin.gap.noise.choice import NoiseModel, Whitener, choose_noise, whitener_of
 from fluxtwin.gap.noise.walk import gain, likeliest_rate
 from fluxtwin.gap.noise.whitening import with_walk
-from fluxtwin.gap.posterior.explanations import Answer, Known, answered_with, log_likelihood, signals_of, without_names
+from fluxtwin.gap.posterior.explanations import (
+    Answer,
+    Known,
+    answered_with,
+    concluded,
+    log_likelihood,
+    signals_of,
+    weighed_with,
+    without_names,
+)
 from fluxtwin.gap.problem.problem import Problem
 from fluxtwin.gap.selection.criterion import IN_GROUP, LOG_FURTHER, SHAPE, THRESHOLD, samples_of, worth
 from fluxtwin.gap.selection.forward import LARGEST
@@ -35,6 +45,21 @@ _ROUNDS = 3
 _SETTLED = 0.2  # in the logarithm of the rate
 _WALK, _LIKE_A_WALK = "bias_random_walk", ("bias_step", "linear_drift")
 """A walk's largest excursion looks like a step, its whole way like a drift: what a name can be before it is a walk."""
+
+
+class _Walk(NamedTuple):
+    """A walk in the noise, and the effects given it."""
+
+    worth: float
+    """Of both."""
+    rate: float
+    names: set[str]
+    whitener: Whitener
+    """Of its noise, without the walk."""
+    residual_nT: FloatArray
+    fitted_nT: FloatArray
+    answer: Answer | None
+    """None where another has more worth."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +120,7 @@ class Structured:
         """The answer with a walk in the noise, where that explains more; where it explains nearly as much, the answer with
         the walk beside the name in whose place it would be; else None."""
         bare_nT, alone = answer.result.residual_alone_nT, without_names(self.problem, answer)
-        best: tuple[float, float, Answer | None] = (-np.inf, 0.0, None)
+        best: _Walk | None = None
         for residual_nT, columns in self._without_a_step(answer, bare_nT, alone):
             likely = likeliest_rate(answer.whitener, residual_nT, columns)
             if likely is None:
@@ -106,17 +131,22 @@ class Structured:
             noise = choose_noise(self.problem, named, residual_nT=residual_nT, walk=rate).noise
             gained = [(self._gain(answer, one, residual_nT, columns), one) for one in (noise, answer.noise)]
             (_, first), likeliest = max(gained, key=lambda found: found[0][0])
-            best = max(best, self._walks(answer, likeliest, first, bare_nT, alone), key=lambda found: found[0])
-        whole, rate, walking = best
-        if walking is None or whole < THRESHOLD:
+            walk = self._walks(answer, likeliest, first, bare_nT, alone)
+            if walk is not None and (best is None or walk.worth > best.worth):
+                best = walk
+        if best is None or best.worth < THRESHOLD:
             return None
-        finding = random_walk(self.problem.setting.seconds, self._left(walking), walking.noise.sigma_nT)
+        found = _with_rival(answer, best.names, best.worth) if best.answer is None else best.answer
+        if found is None:
+            return None
+        left = projected(best.whitener, best.residual_nT, best.fitted_nT)
+        finding = random_walk(self.problem.setting.seconds, left, best.whitener.noise.sigma_nT)
         if finding is None or not finding.confirmed:
             return None
-        if whole < answer.worth:
-            return _with_rival(answer, walking, finding.name, whole)
-        finding = replace(finding, theta=np.array([rate * float(np.sqrt(walking.result.variance))]))
-        return replace(walking, shapes=(*answer.shapes, finding))
+        if best.answer is None:
+            return found
+        finding = replace(finding, theta=np.array([best.rate * float(np.sqrt(found.result.variance))]))
+        return replace(found, shapes=(*answer.shapes, finding))
 
     def _without_a_step(
         self, answer: Answer, bare_nT: FloatArray, alone: FloatArray
@@ -145,31 +175,29 @@ class Structured:
 
     def _walks(
         self, answer: Answer, noise: NoiseModel, rate: float | None, bare_nT: FloatArray, alone: FloatArray
-    ) -> tuple[float, float, Answer | None]:
-        """Worth of a walk and of the effects given it, its likeliest rate (first guess given), and those effects."""
+    ) -> _Walk | None:
+        """A walk in this noise and the effects given it; rate: a first guess."""
         whitener = whitener_of(self.problem, noise, answer.robust.weights)
-        walking = answer
+        about = (self.dictionary, self.known, answer.shapes)
         for _ in range(_ROUNDS):
             if rate is None:
-                break
+                return None
             before = rate
-            walking = answered_with(
-                self.problem, answer.robust, with_walk(whitener, rate), self.dictionary, self.known, answer.shapes
-            )
-            rate = likeliest_rate(whitener, walking.result.residual_nT, walking.fitted_nT)
+            found = weighed_with(self.problem, answer.robust, with_walk(whitener, rate), *about)
+            left = found.left(self.problem, answer.shapes)
+            rate = likeliest_rate(whitener, *left)
             if rate is not None and abs(np.log(rate / before)) < _SETTLED:
                 break
         if rate is None:
-            return -np.inf, 0.0, None
+            return None
         gain, _ = self._gain(answer, noise, bare_nT, alone, rate)
         samples, tried = samples_of(whitener.measured), float(np.log(answer.result.tested))
-        further = LOG_FURTHER if walking.result.named else 0.0  # the names beside it are paid for as if alone
-        return worth(gain, 1, samples, tried) + max(walking.worth, 0.0) - further, rate, walking
-
-    def _left(self, answer: Answer) -> ProjectedResidual:
-        """The residual with what was fitted out of it and no walk in the noise."""
-        whitener = whitener_of(self.problem, answer.noise, answer.robust.weights)
-        return projected(whitener, answer.result.residual_nT, answer.fitted_nT)
+        names = {effect.name for effect, _ in found.chosen.fit.chosen}
+        further = LOG_FURTHER if names else 0.0  # the names beside it are paid for as if alone
+        whole = worth(gain, 1, samples, tried) + max(found.worth, 0.0) - further
+        wins = whole >= max(answer.worth, THRESHOLD)
+        more = concluded(self.problem, answer.robust, found, answer.shapes) if wins else None
+        return _Walk(whole, rate, names, whitener, *left, more)
 
     def with_line(self, answer: Answer, fast: FullRate | None) -> Answer:
         """A line that only the full rate shows, with its name or as structure that has none."""
@@ -178,7 +206,9 @@ class Structured:
         wheel = wheel_line(fast.problem.setting, fast.left, fast.line)
         if wheel is not None and wheel.confirmed:
             # The thinned rows hold the phase over the whole record.
-            setting, left = self.problem.setting, self._left(answer)
+            whitener = whitener_of(self.problem, answer.noise, answer.robust.weights)  # without a walk
+            left = projected(whitener, answer.result.residual_nT, answer.fitted_nT)
+            setting = self.problem.setting
             longer = wheel_line(setting, left, line_near(setting.seconds, left, fast.line.frequency_Hz))
             return self.given([*answer.shapes, longer if longer is not None and longer.confirmed else wheel])
         if (
@@ -201,14 +231,13 @@ class Structured:
         return float(expit(0.5 * (LOG_FURTHER - beyond)))
 
 
-def _with_rival(answer: Answer, walking: Answer, name: str, whole: float) -> Answer | None:
-    """The answer with one more name beside the only one of its names that another answer, of nearly its worth, does
-    without; None where that is not so."""
-    kept = {one.name for one in walking.result.named}
+def _with_rival(answer: Answer, kept: set[str], whole: float) -> Answer | None:
+    """The answer with a walk beside the only one of its names that is not kept given the walk; None where that is not so,
+    or where the walk and what is kept are not nearly worth as much."""
     replaced = [one for one in answer.result.named if one.name not in kept]
     share = float(expit(0.5 * (whole - answer.worth)))
-    if len(replaced) != 1 or share < IN_GROUP or name in replaced[0].group:
+    if len(replaced) != 1 or share < IN_GROUP or _WALK in replaced[0].group:
         return None
-    wider = replace(replaced[0], group=(*replaced[0].group, name))
+    wider = replace(replaced[0], group=(*replaced[0].group, _WALK))
     named = tuple(wider if one is replaced[0] else one for one in answer.result.named)
     return replace(answer, result=replace(answer.result, named=named))

@@ -40,7 +40,7 @@ def result_of(
     raw_nuisance = problem.derivatives(base.modelled)
     seen, hidden = smallest(first, under_way.tested)
     named = [_named(under_way, fit, number, rest.variance, raw_nuisance) for number in range(len(fit.chosen))]
-    order = sorted(range(len(named)), key=lambda number: -_gain(under_way, fit, number))
+    order = by_gain(under_way, fit)
     residual, alone = (problem.residual_of(each.active) for each in (fit, base))
     return SearchResult(
         named=tuple(named[number] for number in order),
@@ -135,10 +135,13 @@ def _visible(under_way: Search[Readings], fit: Fit, number: int, raw_nuisance: F
     return visible_part(raw[:, :, None], white[:, :, None], raw_nuisance, under_way.base.jacobian)[:, :, 0]
 
 
-def _gain(under_way: Search[Readings], fit: Fit, number: int) -> float:
-    """How much larger chi-square is without this effect, all else as it is."""
-    bare = under_way.channel.residual([*fit.modelled, *fit.others(number)])
-    return float(np.sum(bare**2)) - fit.chi2
+def by_gain(under_way: Search[Readings], fit: Fit) -> list[int]:
+    """The chosen effects of a fit, by how much larger chi-square is without one, all else as it is; the largest first."""
+
+    def chi2(number: int) -> float:
+        return float(np.sum(under_way.channel.residual([*fit.modelled, *fit.others(number)]) ** 2))
+
+    return sorted(range(len(fit.chosen)), key=lambda number: -(chi2(number) - fit.chi2))
 
 
 def _columns(fit: Fit, order: list[int]) -> list[int]:

@@ -321,7 +321,7 @@ def test_a_walk_of_nearly_the_worth_of_a_name_stands_beside_it(whole: float, joi
     """Worth 19 and 10 where the name alone is worth 20: shares of 0.38 and 0.007, where a rival has at least 0.05."""
     step = Named("bias_step", ("bias_step",))
     answer = Explained(20.0, Names((step,)))
-    found: Any = structured._with_rival(answer, Explained(0.0, Names(())), "bias_random_walk", whole)  # type: ignore[arg-type]
+    found: Any = structured._with_rival(answer, set(), whole)  # type: ignore[arg-type]
     assert (found is not None) is joins
     assert not joins or found.result.named[0].group == ("bias_step", "bias_random_walk")
 

@@ -28,6 +28,7 @@ FEW = 0.05
 LONGEST_RUN = 4
 """The running median over nine rows follows what lasts longer."""
 _WINDOW, _BLOCK, _FIT_ROWS = 9, 200, 3000
+_TOGETHER = 50_000
 _FEWEST = 40
 _ROWS_EACH = 300  # of a column whose field is fitted: ten columns make a hundred coefficients
 _FURTHEST = 14  # rows: of ten pairs a run of outliers spoils four at the most
@@ -106,8 +107,12 @@ def _left(
     if sample.q_NB is not None:
         good &= telemetry.has_attitude
     rows = np.flatnonzero(good)
-    field = field_N_nT(model, telemetry.time[rows], telemetry.r_N_km[rows])
-    mag = np.array(telemetry.mag_B_nT[rows])
+    R_EN = frames.rotation_EN(telemetry.time[rows])
+    field = np.empty((rows.size, 3))
+    for part in _in_turn(rows):
+        field[part] = field_N_nT(model, telemetry.time[rows[part]], telemetry.r_N_km[rows[part]], R_EN[part])
+    del R_EN
+    mag = telemetry.mag_B_nT[rows]
     # (n, J) what acts on the reading, each between 0 and 1, as many as the rows can tell apart. Its field is fitted too:
     # in a body that turns fast it changes from row to row.
     columns = [telemetry.array_current_A, telemetry.battery_current_A, *telemetry.drivers.values()]
@@ -119,15 +124,33 @@ def _left(
     moving = [(one - one.min()) / np.ptp(one) for one in known if np.isfinite(one).all() and np.ptp(one) > 0.0]
     beside = np.array(moving[: rows.size // _ROWS_EACH]).reshape(-1, rows.size).T
     whole = beside.shape[1] == len(moving) and all(np.isfinite(one).all() for one in known)
+    del known, moving
     if q_NB is None:
         return rows, _ellipsoid(mag, np.linalg.norm(field, axis=1), beside)[:, None], None, None
-    R_BN = frames.rotation_from_q(q_NB[rows])
-    predicted = R_BN.apply(field)
-    terms = np.column_stack([mag / 1e4, np.ones(len(mag)), beside])
-    steady = _steady(predicted - mag) | (_range(beside) > 0.0).any(axis=1)
-    fit = np.column_stack([_robust(terms, predicted[:, axis], steady) for axis in range(3)])
+    predicted = np.empty_like(field)
+    for part in _in_turn(rows):
+        predicted[part] = frames.rotation_from_q(q_NB[rows[part]]).apply(field[part])
+    steady = _steady(predicted - mag)
+    for column in beside.T:
+        steady |= _range(column) > 0.0
+    some = _some(steady)
+    fit = np.column_stack([_robust(_terms(mag, beside, some), one) for one in predicted[some].T])
     jumps = np.linalg.norm(_range(beside @ fit[4:]), axis=1) if whole else None
-    return rows, R_BN.apply(predicted - terms @ fit, inverse=True), field, jumps
+    left = predicted
+    for part in _in_turn(rows):
+        left[part] -= _terms(mag, beside, part) @ fit
+        left[part] = frames.rotation_from_q(q_NB[rows[part]]).apply(left[part], inverse=True)
+    return rows, left, field, jumps
+
+
+def _terms(mag_nT: FloatArray, beside: FloatArray, rows: np.ndarray | slice) -> FloatArray:
+    """(n, 4 + J) scales, bias and what acts on the reading, in these rows."""
+    return np.column_stack([mag_nT[rows] / 1e4, np.ones(len(mag_nT[rows])), beside[rows]])
+
+
+def _in_turn(rows: np.ndarray) -> list[slice]:
+    """A long record a part at a time: a rotation is turned into a matrix where it is applied."""
+    return [slice(first, first + _TOGETHER) for first in range(0, rows.size, _TOGETHER)]
 
 
 def _ellipsoid(mag_nT: FloatArray, size_nT: FloatArray, beside: FloatArray) -> FloatArray:
@@ -140,7 +163,8 @@ def _ellipsoid(mag_nT: FloatArray, size_nT: FloatArray, beside: FloatArray) -> F
     width = m.shape[1]
     pairs = [m[:, i] * m[:, j] for i, j in itertools.combinations_with_replacement(range(width), 2)]
     design = np.column_stack([*pairs, m, np.ones(len(m))]) / (2.0 * size)[:, None]
-    form = _robust(design, size / 2.0, _steady(mag_nT))
+    some = _some(_steady(mag_nT))
+    form = _robust(design[some], (size / 2.0)[some])
     left: FloatArray = 1e4 * (size / 2.0 - design @ form)
     slope = np.linalg.norm(slope_of_form(m, form[:-1])[:, :3], axis=1, keepdims=True) / (2.0 * size)[:, None]
     return np.asarray(left / np.maximum(_running_median(slope)[:, 0], FLAT))
@@ -159,11 +183,14 @@ def _steady(mag_nT: FloatArray) -> BoolArray:
     return np.asarray(jump <= STANDS_OUT * np.median(jump) + 1e-6)
 
 
-def _robust(design: FloatArray, target: FloatArray, trusted: BoolArray) -> FloatArray:
-    """Coefficients of least absolute deviations, by reweighting, on at most a few thousand `trusted` rows."""
+def _some(trusted: BoolArray) -> np.ndarray:
+    """At most a few thousand of the rows (n,) that are trusted."""
     rows = np.flatnonzero(trusted)
-    rows = rows[np.linspace(0, rows.size - 1, min(rows.size, _FIT_ROWS)).astype(int)]
-    X, y = design[rows], target[rows]
+    return np.asarray(rows[np.linspace(0, rows.size - 1, min(rows.size, _FIT_ROWS)).astype(int)])
+
+
+def _robust(X: FloatArray, y: FloatArray) -> FloatArray:
+    """Coefficients of least absolute deviations, by reweighting."""
     fit = np.linalg.lstsq(X, y, rcond=1e-10)[0]
     for _ in range(12):
         left = np.abs(y - X @ fit)

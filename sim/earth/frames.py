@@ -55,8 +55,10 @@ def _of_stamps(stamps: bytes) -> Rotation:
 
 
 def _rotation_EN(stamps: TimeArray) -> Rotation:
-    intermediate = erfa.c2ixys(*on_grid(_days_tt(stamps), _intermediate_pole, _GRID_DAYS).T)
-    return Rotation.from_matrix(erfa.c2tcio(intermediate, erfa.era00(*epoch.jd_ut1(stamps)), np.eye(3)))
+    pole, angle = on_grid(_days_tt(stamps), _intermediate_pole, _GRID_DAYS), erfa.era00(*epoch.jd_ut1(stamps))
+    parts = [slice(first, first + _REMEMBERED_ROWS) for first in range(0, max(len(pole), 1), _REMEMBERED_ROWS)]
+    turns = (erfa.c2tcio(erfa.c2ixys(*pole[part].T), angle[part], np.eye(3)) for part in parts)
+    return Rotation.concatenate([Rotation.from_matrix(each) for each in turns])  # a matrix takes twice the room
 
 
 def rotation_TN(time: TimeArray | np.datetime64) -> Rotation:

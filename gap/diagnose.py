@@ -230,6 +230,7 @@ def investigate(
             every_row = (fast.problem, fast.robust)
     found = (*answer.shapes, *(() if coarser is None else (coarser,)))
     findings = in_the_readings(*rows, level.shape_nT(problem, answer), found)
+    del rows, fast  # of all that is held, the most
     flexible = tuple(one for one in findings if one.confirmed)
     attitude_would_do_rad = _attitude_would_do(problem, answer, dictionary)
     between = apart(problem)

@@ -7,9 +7,11 @@ forgotten: memory does not grow with the number of blocks.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,7 +19,7 @@ from fluxtwin.gap.hypotheses.blocks import Block
 from fluxtwin.gap.linear.projection import ProjectedResidual, Whitens, explained
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 
-_MOST_BYTES = 400e6  # that all columns of a design may take at once
+_MOST_BYTES = 100e6  # that the columns of a design may take between two questions; whitening them takes as long as one
 _TOGETHER = 32  # blocks that are whitened at once: so many columns fit the cache of a core
 
 
@@ -65,41 +67,70 @@ def fit_all(found: Sequence[Block], left: ProjectedResidual) -> list[BlockFit]:
 
 
 class Dictionary:
-    """The blocks of a design side by side, whitened once for each noise model.
+    """The blocks of a design side by side.
 
-    Blocks are only compared through their own small Gram matrices, so what a residual's basis takes from all of them
-    is one product of matrices. Where the rows are too many for that, blocks are made and whitened in turn.
+    Blocks are only compared through their own small Gram matrices, so what a residual's basis takes from all of them is one
+    product of matrices. What is whitened is kept for the next question under the same noise model; where it takes too much
+    room, some blocks are made and whitened at a time, and forgotten.
     """
 
-    def __init__(self, found: Sequence[Block], rows: int) -> None:
+    def __init__(self, found: Sequence[Block], rows: int, most_bytes: float = _MOST_BYTES) -> None:
         self.found, self.rows = tuple(found), rows
-        ends = np.cumsum([len(block.axes) for block in self.found])
-        self.slices = [slice(int(end) - len(b.axes), int(end)) for b, end in zip(self.found, ends, strict=True)]
-        self.width = int(ends[-1]) if self.found else 0
-        self.small = 24 * rows * self.width <= _MOST_BYTES
-        self._latest: tuple[Whitens, FloatArray, list[FloatArray]] | None = None
+        self.kept = 24 * rows * sum(len(block.axes) for block in self.found) <= most_bytes
+        self._latest: tuple[Whitens, _Part] | None = None
 
-    def white(self, whitener: Whitens) -> tuple[FloatArray, list[FloatArray]]:
-        """(3N, K) whitened columns, and the Gram matrix of each block."""
-        if self._latest is None or self._latest[0] is not whitener:
-            flat = self._latest[1] if self._latest else np.empty((3 * self.rows, self.width))  # there is room for one
-            for first in range(0, len(self.found), _TOGETHER):
-                blocks = self.found[first : first + _TOGETHER]
-                made = np.concatenate([block.make() for block in blocks], axis=2)
-                part = slice(self.slices[first].start, self.slices[first].start + made.shape[2])
-                flat[:, part] = whitener.apply(made).reshape(len(flat), -1)
-            self._latest = (whitener, flat, [flat[:, part].T @ flat[:, part] for part in self.slices])
-        return self._latest[1], self._latest[2]
+    def _white(self, whitener: Whitens) -> Iterator[_Part]:
+        """Whitened blocks, all or some at a time."""
+        if self._latest is not None and self._latest[0] is whitener:
+            yield self._latest[1]
+            return
+        self._latest, together = None, max(len(self.found), 1) if self.kept else _TOGETHER
+        for first in range(0, len(self.found), together):
+            part = self._part(self.found[first : first + together], whitener)
+            if self.kept:
+                self._latest = (whitener, part)
+            yield part
+
+    def _part(self, blocks: Sequence[Block], whitener: Whitens) -> _Part:
+        ends = np.cumsum([0, *(len(block.axes) for block in blocks)]).tolist()
+        if len(blocks) <= _TOGETHER:
+            white = _whitened(blocks, whitener)
+        else:
+            white = np.empty((3 * self.rows, ends[-1]))
+            for first in range(0, len(blocks), _TOGETHER):
+                last = min(first + _TOGETHER, len(blocks))
+                white[:, ends[first] : ends[last]] = _whitened(blocks[first:last], whitener)
+        slices = [slice(*pair) for pair in pairwise(ends)]
+        return _Part(blocks, white, slices, [white[:, one].T @ white[:, one] for one in slices])
 
     def fits(self, left: ProjectedResidual) -> list[BlockFit]:
         """`fit` for each block."""
-        if not self.small or not self.found:
-            return fit_all(self.found, left)
-        white, grams = self.white(left.whitener)
-        along = white.T @ np.concatenate([left.basis, left.residual[:, None]], axis=1)
-        fits = []
-        for block, gram, part in zip(self.found, grams, self.slices, strict=True):
-            products = along[part]
-            free = gram - products[:, :-1] @ products[:, :-1].T
-            fits.append(BlockFit(block, free, products[:, -1], np.diag(gram), left.least_share))
-        return fits
+        return self.fits_each([left])[0]
+
+    def fits_each(self, lefts: Sequence[ProjectedResidual]) -> list[list[BlockFit]]:
+        """`fits` for each of some residuals that were whitened alike."""
+        found: list[list[BlockFit]] = [[] for _ in lefts]
+        for part in self._white(lefts[0].whitener):
+            for left, fits in zip(lefts, found, strict=True):
+                along = part.white.T @ np.column_stack([left.basis, left.residual])
+                for block, here, gram in zip(part.blocks, part.slices, part.grams, strict=True):
+                    basis, moment = along[here, :-1], along[here, -1]
+                    fits.append(BlockFit(block, gram - basis @ basis.T, moment, np.diag(gram), left.least_share))
+        return found
+
+
+def _whitened(blocks: Sequence[Block], whitener: Whitens) -> FloatArray:
+    """(3N, k) columns of some blocks."""
+    made = np.concatenate([block.make() for block in blocks], axis=2)
+    return whitener.apply(made).reshape(-1, made.shape[2])
+
+
+class _Part(NamedTuple):
+    """Some blocks of a design."""
+
+    blocks: Sequence[Block]
+    white: FloatArray
+    """(3N, k) their columns, whitened."""
+    slices: list[slice]
+    """Where each of them stands."""
+    grams: list[FloatArray]

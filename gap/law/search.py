@@ -25,6 +25,7 @@ from fluxtwin.sim.effects.law import Law
 
 MOST_TERMS = 3
 """Not counting those of lower order that go with one."""
+_MOST_BYTES = 400e6  # that the pool may take, which is asked again after every term
 _BEAM = 8
 """Of the pool, whose delays and frames are looked at: the right pair undelayed is seldom the best, but among the first."""
 
@@ -60,7 +61,7 @@ class Regression:
         self._latest: tuple[ProjectedResidual | None, dict[Terms, Trial]] = (None, {})
         laws = dict.fromkeys((*grammar.singles(), *grammar.products()))
         self.terms = [grammar.with_lower(law) for law in laws if grammar.values(law) is not None]
-        self.pool = Dictionary([self.block(terms) for terms in self.terms], problem.rows)
+        self.pool = Dictionary([self.block(terms) for terms in self.terms], problem.rows, _MOST_BYTES)
 
     def plain(self) -> list[Law]:
         """One quantity each, as it stands, in body axes."""

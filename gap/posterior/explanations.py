@@ -141,7 +141,7 @@ def _searched(problem: Problem, whitener: Whitener, known: Known) -> _Searched:
 def _weighed(robust: RobustRows, searched: _Searched, dictionary: Dictionary, others: Sequence[NoiseModel]) -> Weighed:
     """others: noise models that an explanation may have as well."""
     under_way, _, path = searched
-    lefts = [structure_left(under_way, fit, dictionary) for fit, _ in path]
+    lefts = structures_left(under_way, [fit for fit, _ in path], dictionary)
     gained = _gained(under_way, [fit for fit, _ in path], others, robust)
     explanations = weighed(under_way, path, lefts, gained)
     best, share, total = likeliest(explanations)
@@ -283,19 +283,22 @@ def without_names(problem: Problem, answer: Answer) -> FloatArray:
     return np.concatenate([answer.alone_nT, problem.derivatives(signals_of(answer.shapes))], axis=2)
 
 
-def structure_left(under_way: Search[Readings], fit: Fit, dictionary: Dictionary) -> Structure:
-    """The structure that a fit leaves, beyond the image at nothing of its effects.
+def structures_left(under_way: Search[Readings], fits: Sequence[Fit], dictionary: Dictionary) -> list[Structure]:
+    """The structure that each fit leaves, beyond the image at nothing of its effects.
 
     The image of a large effect at its size and that at nothing differ by what its size changes and by errors of the
     attitude in both: structure along that difference is the same cause once more.
     """
-    chosen = [effect for effect, _ in fit.chosen]
-    numbers = [number for number, candidate in enumerate(under_way.found) if candidate.effect in chosen]
-    at_nothing = under_way.white[:, :, np.isin(under_way.first.owner, numbers)]
-    images = np.concatenate([fit.jacobian, at_nothing], axis=2)
-    rest = projected_white(under_way.channel.whitener, fit.residual, images)
-    own = fit.jacobian[:, :, fit.jacobian.shape[2] - sum(len(theta) for _, theta in fit.chosen) :]
-    return judge(under_way.channel.problem, rest, dictionary.fits(rest), own, 1.0)
+    rests = []
+    for fit in fits:
+        chosen = [effect for effect, _ in fit.chosen]
+        numbers = [number for number, candidate in enumerate(under_way.found) if candidate.effect in chosen]
+        at_nothing = under_way.white[:, :, np.isin(under_way.first.owner, numbers)]
+        images = np.concatenate([fit.jacobian, at_nothing], axis=2)
+        rests.append(projected_white(under_way.channel.whitener, fit.residual, images))
+    owns = [fit.jacobian[:, :, fit.jacobian.shape[2] - sum(len(theta) for _, theta in fit.chosen) :] for fit in fits]
+    problem = under_way.channel.problem
+    return [judge(problem, *one, 1.0) for one in zip(rests, dictionary.fits_each(rests), owns, strict=True)]
 
 
 def _beside(problem: Problem, signals: Sequence[Active]) -> Problem:

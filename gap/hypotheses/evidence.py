@@ -8,8 +8,7 @@ forgotten: memory does not grow with the number of blocks.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -37,14 +36,16 @@ class BlockFit:
     least_share: float
     searched: int = 0
     """Parameters that no column has: a moment, a frequency."""
+    _known: dict[bytes, tuple[float, int]] = field(default_factory=dict, init=False)
+    """By columns, what they explain."""
 
     def explained(self, columns: BoolArray | None = None) -> tuple[float, int]:
         """Drop of chi-square by all columns, or by some of them (k,), and the number of parameters that are seen."""
-        return self._whole if columns is None else self._explained(columns)
-
-    @cached_property
-    def _whole(self) -> tuple[float, int]:
-        return self._explained(np.ones(self.moment.size, dtype=np.bool_))
+        pick = np.ones(self.moment.size, dtype=np.bool_) if columns is None else columns
+        key = pick.tobytes()
+        if key not in self._known:
+            self._known[key] = self._explained(pick)
+        return self._known[key]
 
     def _explained(self, pick: BoolArray) -> tuple[float, int]:
         pick = pick & (np.diag(self.gram) > self.least_share * self.size)

@@ -38,11 +38,11 @@ _NOBODY = 65534
 def rows(folder: Path, trials: int) -> list[Row]:
     """A row for each fault, `trials` of them together."""
     corpus.make(folder, 400)
-    calls = [(call, name) for call, names in WRITERS.items() for name in names.split()]
+    count = -(-trials // len(FAULTS))
+    calls = [(call, name) for call, names in WRITERS.items() for name in names.split()][:count]
     good = {name: _good(folder, call, name) for call, name in calls}
     found = []
     for fault in FAULTS:
-        count = -(-trials // len(FAULTS))
         with timed(Row(f"{fault} while a file is written", 0)) as row:
             with _disk(folder, fault) as place:
                 for number in range(count if place is not None else 0):

@@ -41,6 +41,11 @@ def record() -> Telemetry:
     return simulate(readme_scenario())[0]
 
 
+@pytest.fixture(scope="module")
+def declared(record: Telemetry) -> Diagnosis:
+    return asked(record, DECLARED)
+
+
 def asked(record: Telemetry, budget: Budget | None = None) -> Diagnosis:
     return diagnose(record, load_field("igrf14"), budget=budget)
 
@@ -82,8 +87,8 @@ def test_a_sure_name_whose_share_is_not_measured_says_why() -> None:
         assert part in found.sentence
 
 
-def test_an_attitude_error_that_would_explain_all_is_given_with_its_size(record: Telemetry) -> None:
-    gap = asked(record, DECLARED).gap
+def test_an_attitude_error_that_would_explain_all_is_given_with_its_size(declared: Diagnosis) -> None:
+    gap = declared.gap
     assert "undeclared error of the reference attitude of 0.3 deg" in words.no_gap(gap, float(np.radians(0.3)))
     assert "undeclared" not in words.no_gap(gap, None)
 
@@ -107,11 +112,10 @@ def test_a_late_sensor_is_not_blamed_on_the_orbit_alone() -> None:
     assert [one.name for one in found.effects] in (["time_tag_offset"], ["sensor_lag"])
 
 
-def test_what_is_declared_is_not_said_to_be_found(record: Telemetry) -> None:
-    found = asked(record, DECLARED)
-    assert found.verdict == "no_gap"
-    assert {one["source"] for one in found.assumed.values()} == {"declared"}
-    assert "Not declared" not in found.sentence
+def test_what_is_declared_is_not_said_to_be_found(declared: Diagnosis) -> None:
+    assert declared.verdict == "no_gap"
+    assert {one["source"] for one in declared.assumed.values()} == {"declared"}
+    assert "Not declared" not in declared.sentence
 
 
 def test_outliers_are_a_finding(record: Telemetry) -> None:

@@ -132,10 +132,11 @@ def test_outliers_are_a_finding(record: Telemetry) -> None:
 def test_outliers_of_a_long_record_are_counted_in_every_row(monkeypatch: pytest.MonkeyPatch) -> None:
     """One row in two is enough for what is slow; outliers are found in any, here of just as many as are looked at."""
     for module in ("diagnose.MOST_ROWS_FAST", "detectors.full_rate.MOST_ROWS"):
-        monkeypatch.setattr(f"fluxtwin.gap.{module}", 6000)
-    segment = {"start_utc": "2026-03-01T00:00:00Z", "step_s": 5.0, "samples": 6000}
+        monkeypatch.setattr(f"fluxtwin.gap.{module}", 3000)
+    monkeypatch.setattr("fluxtwin.gap.diagnose.MOST_ROWS", 2500)
+    segment = {"start_utc": "2026-03-01T00:00:00Z", "step_s": 5.0, "samples": 3000}
     record = simulate(readme_scenario().updated({"schedule.segments": [segment]}))[0]
-    reading, rows = np.array(record.mag_B_nT), np.arange(101, 5900, 645)
+    reading, rows = np.array(record.mag_B_nT), np.arange(101, 2900, 305)
     assert {*(rows % 2)} == {0, 1}
     reading[rows, rows % 3] += 8000.0
     found = asked(record.replace(mag_B_nT=reading), DECLARED)
@@ -143,12 +144,13 @@ def test_outliers_of_a_long_record_are_counted_in_every_row(monkeypatch: pytest.
     assert f"{rows.size} rows have outliers of more than six sigma" in found.sentence
 
 
-def test_a_faint_fast_line_does_not_take_the_name_from_a_large_effect() -> None:
+def test_a_faint_fast_line_does_not_take_the_name_from_a_large_effect(monkeypatch: pytest.MonkeyPatch) -> None:
     """A line that only the full rate shows: alone it is unknown, beside a hundred times its energy it is what is left."""
-    segment = {"start_utc": "2026-03-01T00:00:00Z", "step_s": 5.0, "samples": 6000}
+    monkeypatch.setattr("fluxtwin.gap.diagnose.MOST_ROWS", 2500)
+    segment = {"start_utc": "2026-03-01T00:00:00Z", "step_s": 5.0, "samples": 3000}
     record = simulate(readme_scenario().updated({"schedule.segments": [segment]}))[0]
-    line_nT = 5.0 * np.sin(2.0 * np.pi / 13.0 * 5.0 * np.arange(6000))[:, None] * [1.0, 0.0, 0.0]
-    step_nT = np.where(np.arange(6000) > 2900, 500.0, 0.0)[:, None] * [0.0, 1.0, 0.0]
+    line_nT = 7.0 * np.sin(2.0 * np.pi / 13.0 * 5.0 * np.arange(3000))[:, None] * [1.0, 0.0, 0.0]
+    step_nT = np.where(np.arange(3000) > 1450, 500.0, 0.0)[:, None] * [0.0, 1.0, 0.0]
     alone = asked(record.replace(mag_B_nT=record.mag_B_nT + line_nT), DECLARED)
     both = asked(record.replace(mag_B_nT=record.mag_B_nT + line_nT + step_nT), DECLARED)
     assert alone.verdict == "unknown" and "a line at a period of 13 s, in the full rate" in alone.sentence

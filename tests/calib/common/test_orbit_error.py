@@ -72,9 +72,7 @@ def test_the_part_in_the_covariance_is_what_positions_ahead_do(
     recorded = frames.rotation_from_q(np.array(one.q_NB)) * here.inv()
     moved = moved.replace(q_NB=frames.q_from_rotation(recorded * other))
     stated = (
-        dict(one.provenance)
-        | {ALONG_TRACK_KM: str(SIGMA_KM)}
-        | ({} if axes == "GCRS" else {ATTITUDE_OF_ORBIT: axes})
+        dict(one.provenance) | {ALONG_TRACK_KM: str(SIGMA_KM)} | ({} if axes == "GCRS" else {ATTITUDE_OF_ORBIT: axes})
     )
     inside = fluxtwin.calibrate(one.replace(provenance=stated)).calibration
     step = np.abs(fluxtwin.calibrate(moved).calibration.values - exact.values)

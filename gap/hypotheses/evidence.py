@@ -18,8 +18,8 @@ from fluxtwin.gap.hypotheses.blocks import Block
 from fluxtwin.gap.linear.projection import ProjectedResidual, Whitens, explained
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 
-_MOST_BYTES = 100e6  # that the columns of a design may take between two questions; whitening them takes as long as one
-_TOGETHER = 32  # blocks that are whitened at once: so many columns fit the cache of a core
+_MOST_BYTES = 100e6  # that the whitened columns of a design may take between two questions
+_TOGETHER = 8  # blocks that are whitened at once: so many columns fit the cache of a core
 
 
 @dataclass(frozen=True, eq=False)

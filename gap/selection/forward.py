@@ -103,7 +103,7 @@ class Search(Generic[OfChannel]):
         others = [candidate for candidate in self.found if candidate.name not in taken]
         kept = np.array([self.found[int(owner)].name not in taken for owner in self.first.owner], dtype=bool)
         measured, share_left = self.channel.measured, self.channel.share_left
-        return board(others, self.white[:, :, kept], fit.residual, fit.jacobian, measured, share_left)
+        return board(others, self.white[:, :, kept], fit.residual, fit.basis, measured, share_left)
 
     def add(self, effects: Sequence[SignalEffect], fit: Fit | None = None) -> None:
         """Further candidates, and the fit that has them if there is one."""
@@ -134,7 +134,7 @@ def begin(channel: OfChannel, found: list[Candidate], tested_before: int = 0) ->
 
 
 def _first(channel: Channel, found: Sequence[Candidate], white: FloatArray, base: Fit) -> Board:
-    return board(found, white, base.residual, base.jacobian, channel.measured, channel.share_left)
+    return board(found, white, base.residual, base.basis, channel.measured, channel.share_left)
 
 
 def run(search: Search[Any]) -> list[tuple[Fit, Board]]:

@@ -264,9 +264,10 @@ def board(
     """Set up the tests.
 
     white: whitened live columns (M, 3, P) of the candidates in turn (see `whitened`). residual: (M, 3) whitened.
-    nuisance: (M, 3, c) whitened; whatever is in it is projected out. measured: scalar measurements not cut.
+    nuisance: (M, 3, c) whitened, or its orthonormal basis (3M, c); whatever is in it is projected out. measured: scalar
+    measurements not cut.
     """
-    basis = orthonormal(nuisance)
+    basis = orthonormal(nuisance) if nuisance.ndim == 3 else nuisance
     owner = np.concatenate([np.full(int(c.live.sum()), n) for n, c in enumerate(candidates)] or [np.zeros(0, int)])
     place = np.concatenate([np.flatnonzero(c.live) for c in candidates] or [np.zeros(0, int)])
     flat = white.reshape(-1, white.shape[2])

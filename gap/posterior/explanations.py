@@ -108,18 +108,6 @@ class Answer:
     """Causes that are known by their own shape: a line, a sequence, a region in the dark, a walk."""
 
 
-def answered_with(
-    problem: Problem,
-    robust: RobustRows,
-    whitener: Whitener,
-    dictionary: Dictionary,
-    known: Known,
-    shapes: tuple[Finding, ...] = (),
-) -> Answer:
-    """The search under one whitening, beside shapes: those that are signals are fitted in every test."""
-    return concluded(problem, robust, weighed_with(problem, robust, whitener, dictionary, known, shapes), shapes)
-
-
 def weighed_with(
     problem: Problem,
     robust: RobustRows,
@@ -128,7 +116,7 @@ def weighed_with(
     known: Known,
     shapes: Sequence[Finding],
 ) -> Weighed:
-    """As `answered_with`, but for what `concluded` adds."""
+    """The search under one whitening, beside shapes: those that are signals are fitted in every test."""
     return _weighed(robust, _searched(_beside(problem, signals_of(shapes)), whitener, known), dictionary, ())
 
 

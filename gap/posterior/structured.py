@@ -29,7 +29,6 @@ from fluxtwin.gap.noise.whitening import with_walk
 from fluxtwin.gap.posterior.explanations import (
     Answer,
     Known,
-    answered_with,
     concluded,
     log_likelihood,
     signals_of,
@@ -114,7 +113,8 @@ class Structured:
         for one in shapes:
             if one.name == _WALK:
                 whitener = with_walk(whitener, float(one.theta[0]))
-        return answered_with(self.problem, robust, whitener, self.dictionary, self.known, tuple(shapes))
+        found = weighed_with(self.problem, robust, whitener, self.dictionary, self.known, shapes)
+        return concluded(self.problem, robust, found, tuple(shapes))
 
     def _walking(self, answer: Answer) -> Answer | None:
         """The answer with a walk in the noise, where that explains more; where it explains nearly as much, the answer with

@@ -22,7 +22,7 @@ from fluxtwin.gap.hypotheses.evidence import Dictionary
 from fluxtwin.gap.linear.projection import projected_out
 from fluxtwin.gap.noise.robust_rows import RobustRows
 from fluxtwin.gap.noise.whitening import NoiseModel, Whitener, make_whitener
-from fluxtwin.gap.posterior.explanations import answered_with
+from fluxtwin.gap.posterior.explanations import concluded, weighed_with
 from fluxtwin.gap.problem.problem import Problem, pose
 from fluxtwin.gap.problem.row_axes import turn_images
 from fluxtwin.gap.selection import forward
@@ -165,7 +165,8 @@ def search(problem: Problem, whitener: Whitener) -> SearchResult:
     """What the explanation that weighs most says."""
     robust = RobustRows(np.ones((problem.rows, 3)))
     dictionary = Dictionary(blocks(problem), problem.rows)
-    return answered_with(problem, robust, whitener, dictionary, candidates(problem)).result
+    found = weighed_with(problem, robust, whitener, dictionary, candidates(problem), ())
+    return concluded(problem, robust, found).result
 
 
 def found(result: SearchResult) -> list[str]:

@@ -82,13 +82,22 @@ class Fit:
     """(M, 3) whitened."""
     jacobian: FloatArray
     """(M, 3, c + p) whitened derivative of the reading, parameters of `modelled`, then of `chosen`."""
-    covariance: FloatArray
-    """(c + p, c + p) for unit variance; parameters that are not seen (or at a limit) have none: NaN."""
-    seen: BoolArray
-    """(c + p,) parameters of which every part is seen: none lies along a direction that moves nothing."""
-    rank: int
-    """Directions seen, of modelled and chosen effects together."""
-    rank_modelled: int
+    free: BoolArray
+    """(c + p,) parameters that move something and are not at a limit."""
+
+    @cached_property
+    def _known(self) -> tuple[FloatArray, BoolArray, int]:
+        return covariance_of(self.jacobian, self.free)
+
+    @property
+    def covariance(self) -> FloatArray:
+        """(c + p, c + p) for unit variance; parameters that are not seen (or at a limit) have none: NaN."""
+        return self._known[0]
+
+    @property
+    def seen(self) -> BoolArray:
+        """(c + p,) parameters of which every part is seen: none lies along a direction that moves nothing."""
+        return self._known[1]
 
     @cached_property
     def basis(self) -> FloatArray:
@@ -100,10 +109,11 @@ class Fit:
         """All that is on, apart from frozen effects."""
         return [*self.modelled, *self.chosen]
 
-    @property
+    @cached_property
     def rank_chosen(self) -> int:
-        """Directions that the chosen effects add."""
-        return self.rank - self.rank_modelled
+        """Directions that the chosen effects add to those that are seen of the modelled ones."""
+        alone = self.jacobian[:, :, : sum(len(theta) for _, theta in self.modelled)]
+        return self._known[2] - covariance_of(alone, moving(alone))[2]
 
     def others(self, number: int) -> list[Active]:
         """The chosen effects but one."""
@@ -164,12 +174,8 @@ def refit(
         if exact:
             jacobian = channel.jacobian(_unpacked(active, vector))
     active = _unpacked(active, vector)
-    size = sum(len(theta) for _, theta in active[:count])
-    covariance, seen, rank = covariance_of(jacobian, _free(jacobian, residual, vector, low, high))
-    rank_modelled = covariance_of(jacobian[:, :, :size], moving(jacobian[:, :, :size]))[2]
-    return Fit(
-        tuple(active[:count]), tuple(active[count:]), chi2, residual, jacobian, covariance, seen, rank, rank_modelled
-    )
+    free = _free(jacobian, residual, vector, low, high)
+    return Fit(tuple(active[:count]), tuple(active[count:]), chi2, residual, jacobian, free)
 
 
 def settled(problem: Problem) -> Problem:

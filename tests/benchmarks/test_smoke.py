@@ -118,15 +118,29 @@ def test_one_command_gives_one_table(tmp_path: Path) -> None:
     assert page.count("\n| ") == 1 + len(lines) and lines[0]["measured"] in page
 
 
-@pytest.mark.skipif(os.name != "posix", reason="fork and signals of POSIX")
-def test_files_can_be_trusted(tmp_path: Path) -> None:
-    """In a process of its own, which forks: a little of the parts that take seconds."""
-    target = tmp_path / "trust.json"
-    parts = [f"--only={part}" for part in ("hostile", "commands", "bits", "bombs", "disk")]
-    command = [sys.executable, "-m", "benchmarks.trust", "--quick", *parts, "--json", str(target)]
+@pytest.fixture(scope="module")
+def trust(tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, Any]]:
+    """A little of the parts that take seconds, in a process of its own, which forks; the sigmas given have one fault."""
+    if os.name != "posix":
+        pytest.skip("fork and signals of POSIX")
+    folder = tmp_path_factory.mktemp("trust")
+    cases = [
+        {"words": word, "seeds": 300, "nees": 1.0, "pull": {"b1": pull}, "share": {"b1": 0.95}}
+        for word, pull in (("good", 1.0), ("wide", 0.8))
+    ]
+    (folder / "sigmas.json").write_text(json.dumps({"cases": cases}), encoding="utf-8")
+    parts = [f"--only={part}" for part in ("hostile", "commands", "bits", "bombs", "disk", "answers", "sigmas")]
+    given = [*parts, "--sigmas", str(folder / "sigmas.json"), "--json", str(folder / "trust.json")]
+    command = [sys.executable, "-m", "benchmarks.trust", "--quick", *given]
     done = subprocess.run(command, cwd=FOLDER.parent, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stdout + done.stderr
-    rows = {row["name"]: row for row in json.loads(target.read_text(encoding="utf-8"))["rows"]}
+    assert done.returncode == 1, done.stdout + done.stderr
+    rows: list[dict[str, Any]] = json.loads((folder / "trust.json").read_text(encoding="utf-8"))["rows"]
+    return rows
+
+
+def test_files_can_be_trusted(trust: list[dict[str, Any]]) -> None:
+    rows = {row["name"]: row for row in trust[:-3]}
+    assert [row["faults"] for row in rows.values() if row["faults"]] == []
     assert all(row["trials"] or "no right" in row["note"] for row in rows.values())
     assert rows["one bit flipped in a file of ours"]["trials"] >= 120
     readers = 22 - (importlib.util.find_spec("pyarrow") is None)
@@ -134,33 +148,9 @@ def test_files_can_be_trusted(tmp_path: Path) -> None:
     assert len(rows) == 1 + 1 + 1 + 1 + 6
 
 
-@pytest.mark.skipif(os.name != "posix", reason="fork and signals of POSIX")
-def test_what_frozen_runs_and_sigmas_have_found_is_counted(tmp_path: Path) -> None:
+def test_what_frozen_runs_and_sigmas_have_found_is_counted(trust: list[dict[str, Any]]) -> None:
     """The newest frozen run of each population counts; a case of the sigmas that misses a limit is a fault."""
-    cases = [
-        {"words": word, "seeds": 300, "nees": 1.0, "pull": {"b1": pull}, "share": {"b1": 0.95}}
-        for word, pull in (("good", 1.0), ("wide", 0.8))
-    ]
-    (tmp_path / "sigmas.json").write_text(json.dumps({"cases": cases}), encoding="utf-8")
-    target = tmp_path / "trust.json"
-    given = [
-        "--quick",
-        "--only=answers",
-        "--only=sigmas",
-        "--sigmas",
-        str(tmp_path / "sigmas.json"),
-        "--json",
-        str(target),
-    ]
-    done = subprocess.run(
-        [sys.executable, "-m", "benchmarks.trust", *given],
-        cwd=FOLDER.parent,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 1, done.stdout + done.stderr
-    nulls, sizes, of_sigmas = json.loads(target.read_text(encoding="utf-8"))["rows"]
+    nulls, sizes, of_sigmas = trust[-3:]
     runs = [json.loads(line) for line in (FOLDER / "withheld.log").read_text(encoding="utf-8").splitlines()]
     for row, population in ((nulls, "nulls"), (sizes, "limits")):
         newest = [run for run in runs if population in run["counts"]][-1]

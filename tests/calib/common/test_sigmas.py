@@ -212,7 +212,7 @@ def test_noise_that_lasts_is_counted_as_unknown(seasat: Any) -> None:
         rng = np.random.default_rng([58, seed])
         reading = meter.ideal_reading(seasat.field_B_nT) + 300.0 * markov(325, 3.0, rng)
         now = Design(seasat.time, reading, seasat.field_B_nT, None, np.arange(325), {})
-        fit = fit_design(now, LinearOptions(robust="none"))
+        fit = fit_design(now, LinearOptions(covariance="white", robust="none"))
         assert (fit.noise.variance_nT2 < 250.0**2).all()
         sigma = np.sqrt(np.diag(fit.noise.covariance))
         chance = 3.0 * np.sqrt(2.0 * 6.0 / 325.0) * 300.0**2

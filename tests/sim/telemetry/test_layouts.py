@@ -59,10 +59,8 @@ def _found_in(cli: Cli, path: Path) -> dict[str, dict[str, Any]]:
     return {finding["code"]: finding for finding in answer["findings"]}
 
 
-def test_the_plain_command_says_that_the_counts_are_no_nT(
-    shared: Path, process: Cli, close: Callable[..., None]
-) -> None:
-    outcome = process("check", shared / "flight" / FLUXGATE)
+def test_the_plain_command_says_that_the_counts_are_no_nT(shared: Path, cli: Cli, close: Callable[..., None]) -> None:
+    outcome = cli("check", shared / "flight" / FLUXGATE)
     assert outcome.status == 1
     out = outcome.out
     assert "recognised layout: ELFIN-A fluxgate" in out

@@ -22,8 +22,19 @@ from fluxtwin.gap.selection.criterion import (
     worth,
     worth_of_shape,
 )
+from fluxtwin.sim.effects.response import QuadraticNonlinearity
 
 pytestmark = pytest.mark.property
+NOTHING = Structure(worth=0.0, drop=0.0, kind="none", words="")
+
+
+@dataclasses.dataclass(frozen=True)
+class Cause:
+    """An effect in a place where no block is."""
+
+    number: int
+    follows: str = "nothing"
+    frame: str = "nowhere"
 
 
 def test_noise_alone_is_seldom_worth_the_threshold() -> None:
@@ -79,21 +90,19 @@ def test_what_a_second_cause_takes_away_whole_is_not_the_first_one_s_shape(
     not to the last bit."""
 
     def fit(chi2: float, chosen: int) -> Any:
-        return SimpleNamespace(chi2=chi2, rank_chosen=3 * chosen, chosen=[(str(n), None) for n in range(chosen)])
+        return SimpleNamespace(chi2=chi2, rank_chosen=3 * chosen, chosen=[(Cause(n), None) for n in range(chosen)])
 
     under_way: Any = SimpleNamespace(tested=105, samples=600.0, base=fit(12_000.0, 0))
-    nothing = Structure(worth=0.0, drop=0.0, kind="none", words="")
     boom = Structure(worth=90.0, drop=found, kind="block", words="", rank=3, log_tried=5.0)
     more = Structure(worth=30.0, drop=60.0, kind="block", words="", rank=6, log_tried=5.0)
     path: Any = [(fit(12_000.0, 0), None), (fit(2_100.0, 1), None), (fit(1_992.0, 2), None)]
-    lefts = [Structure(9_000.0, 9_900.0, "block", "", rank=3, log_tried=5.0), boom, more if structured else nothing]
+    lefts = [Structure(9_000.0, 9_900.0, "block", "", rank=3, log_tried=5.0), boom, more if structured else NOTHING]
     explanations = weighed(under_way, path, lefts, [0.0, 0.0, 0.0])
     assert likeliest(explanations)[0] == names
 
 
 def test_two_names_are_worth_the_same_by_whatever_way_the_search_came_to_them() -> None:
     """Two causes of one parameter each, found by way of a third of thirty: none of its parameters is in their price."""
-    noise = Structure(worth=0.0, drop=0.0, kind="none", words="")
     chi2 = {"": 9_000.0, "epoch": 7_000.0, "ring": 6_200.0, "cubic": 5_900.0, "epoch ring": 5_000.0}
 
     def fitted(names: str) -> Any:
@@ -117,9 +126,36 @@ def test_two_names_are_worth_the_same_by_whatever_way_the_search_came_to_them() 
     under_way: Any = UnderWay()
     ways: list[list[str]] = [["", "ring", "epoch ring"], ["", "cubic", "epoch ring"]]
     worths = [
-        weighed(under_way, [(fitted(names), Any) for names in way], [noise] * 3, [0.0] * 3)[-1].worth for way in ways
+        weighed(under_way, [(fitted(names), Any) for names in way], [NOTHING] * 3, [0.0] * 3)[-1].worth for way in ways
     ]
     assert worths[0] == pytest.approx(worths[1], abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("place", "explained", "rank", "named"),
+    [
+        (("orbit_phase", "orbital"), 2_930.0, 18, False),
+        (("orbit_phase", "orbital"), 3_100.0, 18, True),
+        (("orbit_phase", "orbital"), 3_050.0, 1, True),
+        (("field_strength", "body"), 2_930.0, 18, True),
+    ],
+)
+def test_a_name_is_taken_where_no_block_elsewhere_explains_more(
+    place: tuple[str, str], explained: float, rank: int, named: bool
+) -> None:
+    """A block of nine parameters explains 3,100 of chi-square. A quadratic response that explains 170 less, and leaves
+    nothing, is something else; one that explains as much is the cause, however many parameters it has; and so is one that
+    explains less where the block is in its place. With one parameter, 50 less are its shape error."""
+
+    def fit(chi2: float, rank: int, chosen: list[Any]) -> Any:
+        return SimpleNamespace(chi2=chi2, rank_chosen=rank, chosen=chosen)
+
+    block = Structure(3_000.0, 3_100.0, "block", "", *place, rank=9, log_tried=5.0)
+    alone, quadratic = fit(12_000.0, 0, []), fit(12_000.0 - explained, rank, [(QuadraticNonlinearity(), None)])
+    under_way: Any = SimpleNamespace(tested=105, samples=600.0, base=alone)
+    explanations = weighed(under_way, [(alone, Any), (quadratic, Any)], [block, NOTHING], [0.0, 0.0])
+    best, known, _ = likeliest(explanations)
+    assert (best == 1 and known > 0.5) is named
 
 
 @pytest.mark.parametrize(
@@ -138,7 +174,7 @@ def test_the_explanation_that_weighs_most_is_taken(
 ) -> None:
     """Odds are exp(worth / 2): twice the log of three more makes three to one."""
     explanations = [
-        SimpleNamespace(worth=w, unknown=u, fit=SimpleNamespace(chosen=[(object(), None)] * n))
+        SimpleNamespace(worth=w, unknown=u, left=NOTHING, fit=SimpleNamespace(chosen=[(Cause(0), None)] * n))
         for n, (w, u) in enumerate(zip(worths, unknowns, strict=True))
     ]
     place, share, most = likeliest(explanations)
@@ -151,7 +187,7 @@ def test_a_probability_is_never_above_one() -> None:
     rng = np.random.default_rng(6)
     for _ in range(300):
         explanations = [
-            SimpleNamespace(worth=w, unknown=-np.inf, fit=SimpleNamespace(chosen=[(object(), None)] * n))
+            SimpleNamespace(worth=w, unknown=-np.inf, left=NOTHING, fit=SimpleNamespace(chosen=[(Cause(0), None)] * n))
             for n, w in enumerate([0.0, *rng.uniform(50.0, 60.0, 5)])
         ]
         _, known, _ = likeliest(explanations)

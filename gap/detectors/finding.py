@@ -36,6 +36,11 @@ class Finding:
         return isinstance(self.effect, SignalEffect)
 
     @property
+    def is_noise(self) -> bool:
+        """Whether it is new in every row, and so stands beside something unknown, which a signal or a walk would be."""
+        return not self.is_signal and self.effect.follows is None
+
+    @property
     def confirmed(self) -> bool:
         return bool(stands_out(self.p_value, self.worth)) and not self.faults
 

@@ -167,7 +167,7 @@ def assemble(
 def _conclude(work: Work) -> _Conclusion:
     problem, answer, momentum = work.problem, work.answer, work.momentum
     already = [one for one in work.flexible if expected(one, problem.frozen)]
-    new = [one for one in work.flexible if one not in already and (work.known >= 0.5 or not one.is_signal)]
+    new = [one for one in work.flexible if one not in already and (work.known >= 0.5 or one.is_noise)]
     shapes = [_of_shape(one, problem.setting, work.known) for one in new]
     named = work.in_readings
     signals = sorted([*named, *momentum.standing], key=lambda one: one.significance) if momentum.standing else named

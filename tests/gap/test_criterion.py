@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
+from fluxtwin.gap.detectors.finding import Finding
 from fluxtwin.gap.detectors.residual_structure import Structure
 from fluxtwin.gap.posterior.explanations import likeliest, weighed
+from fluxtwin.gap.report import verdict
 from fluxtwin.gap.selection.criterion import (
     LOG_FURTHER,
     SHAPE,
@@ -22,6 +24,8 @@ from fluxtwin.gap.selection.criterion import (
     worth,
     worth_of_shape,
 )
+from fluxtwin.sim.effects.calibration import BiasRandomWalk
+from fluxtwin.sim.effects.digits import ExcessNoise
 from fluxtwin.sim.effects.response import QuadraticNonlinearity
 
 pytestmark = pytest.mark.property
@@ -204,3 +208,31 @@ def test_held_out_samples_multiply_the_odds() -> None:
     assert still_known(0.5, np.log(3.0)) == pytest.approx(0.75)
     odds = 3.0 * np.exp(0.5 * LOG_FURTHER)
     assert still_known(1.0 - 1e-12, np.log(3.0)) == pytest.approx(odds / (1.0 + odds))
+
+
+@pytest.mark.parametrize(("known", "named"), [(0.9, ["excess_noise", "bias_random_walk"]), (0.1, ["excess_noise"])])
+def test_a_walk_is_not_named_beside_something_unknown(
+    monkeypatch: pytest.MonkeyPatch, known: float, named: list[str]
+) -> None:
+    """It would describe the same. Noise that is new in every row is beside it."""
+    one = np.ones(1)
+    found = [Finding(effect, one, 0.1 * one, worth=100.0) for effect in (ExcessNoise(), BiasRandomWalk())]
+    setting = SimpleNamespace(flags={}, columns={}, time=np.zeros(1), seconds=np.zeros(1))
+    nothing = SimpleNamespace(standing=[], unexplained=False, incomplete=False)
+    work: Any = SimpleNamespace(
+        problem=SimpleNamespace(frozen=(), setting=setting),
+        answer=SimpleNamespace(result=SimpleNamespace(named=[]), left=NOTHING),
+        momentum=nothing,
+        flexible=found,
+        known=known,
+        in_readings=[],
+        angle=None,
+        attitude_would_do_rad=None,
+        loud=None,
+        stuck=None,
+        every_row=(None, None),
+    )
+    monkeypatch.setattr(verdict.level, "outliers", lambda *_: None)
+    said = verdict._conclude(work)
+    assert [effect.name for effect in said.effects] == named
+    assert said.verdict == ("effect" if known > 0.5 else "unknown")

@@ -150,9 +150,7 @@ def likeliest(explanations: Sequence[Explanation]) -> tuple[int, float, float]:
     """The explanation that weighs most, the probability that nothing unknown is there, and the most worth."""
     logs = np.array([[one.worth, one.unknown] for one in explanations])
     for place, (one, more) in enumerate(pairwise(explanations)):
-        # A block in the place of a named effect is its linear image: what it explains more is the name's shape error.
-        own = (one.left.condition, one.left.frame) in [(effect.follows, effect.frame) for effect, _ in more.fit.chosen]
-        if own and one.left.kind == "block" and _added(one.fit, more.fit) == 1 and not np.isfinite(more.unknown):
+        if _added(one.fit, more.fit) == 1 and not np.isfinite(more.unknown):
             logs[place, 1] = -np.inf  # the catalogue has it
     if not np.max(logs) > THRESHOLD:
         return 0, 1.0, float(np.max(logs))
@@ -181,7 +179,7 @@ def weighed(
         one_more = _added(path[place][0], path[place + 1][0]) == 1
         beyond[place] = further if one_more else max(beyond[place], further)
     found: list[Explanation] = []
-    names, first, each = 0.0, lefts[0], LOG_FURTHER + 2.0 * float(np.log(under_way.tested))
+    names = 0.0
     for place, ((fit, beside), left) in enumerate(zip(path, lefts, strict=True)):
         if place:
             before = path[place - 1][0]
@@ -190,16 +188,11 @@ def weighed(
         # What one more name takes away whole is in its direction alone.
         whole = place + 1 < len(path) and _added(fit, path[place + 1][0]) == 1 and not lefts[place + 1].structured
         seen = max(beyond[place], left.drop) if whole else beyond[place]
-        least = names
-        if fit.chosen and first.rank:
-            # Names have no more parameters than a finding, which only describes; what it has more is their shape error.
-            price = float(penalty(first.rank, first.drop, samples)) + len(fit.chosen) * each - LOG_FURTHER
-            least = max(names, min(explained[place], first.drop) - price)
-            seen = max(seen, first.drop - explained[place])
-        shaped = least + worth_of_shape(seen, explained[place], alone=whole)
-        worth = max(shaped, least + gained[place]) - gained[0]
-        more = left.beyond(wider, samples) - LOG_FURTHER
-        unknown = shaped + more - gained[0] if left.structured and more > 0.0 else -np.inf
+        shaped = names + worth_of_shape(seen, explained[place], alone=whole)
+        worth = max(shaped, names + gained[place]) - gained[0]
+        unknown = -np.inf
+        if left.structured and left.beyond(wider, samples) > LOG_FURTHER:
+            unknown = shaped + left.beyond(wider, samples) - LOG_FURTHER - gained[0]
         found.append(Explanation(fit, beside, left, worth, unknown))
     return found
 

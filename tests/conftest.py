@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import importlib
 import os
 
@@ -56,12 +55,6 @@ def pytest_configure(config: pytest.Config) -> None:
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """The studies begin: their files take longest, and one begun last would keep one worker busy and the others idle."""
     items.sort(key=lambda item: item.path.parent.name != "scenarios")
-
-
-def pytest_collection_finish() -> None:
-    """What was collected stays to the end: the collector of garbage need not go through it each time."""
-    gc.collect()
-    gc.freeze()
 
 
 @pytest.fixture(scope="session")

@@ -28,7 +28,7 @@ FEW = 0.05
 LONGEST_RUN = 4
 """The running median over nine rows follows what lasts longer."""
 _WINDOW, _BLOCK, _FIT_ROWS = 9, 200, 3000
-_TOGETHER = 50_000
+_TOGETHER = 50_000  # rows that are turned at once: their matrices take 4 MB; any number gives the same bits
 _FEWEST = 40
 _ROWS_EACH = 300  # of a column whose field is fitted: ten columns make a hundred coefficients
 _FURTHEST = 14  # rows: of ten pairs a run of outliers spoils four at the most

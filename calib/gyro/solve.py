@@ -105,6 +105,10 @@ class Cleared(NamedTuple):
     to_errors: FloatArray
     """(3 n, 3 n) from scores to errors of the rates."""
 
+    def scores(self, theta: FloatArray) -> FloatArray:
+        """(3 n,) of the readings, for parameters (p,)."""
+        return np.asarray(self.back @ (self.y - self.G @ theta))
+
 
 def solve(
     time: TimeArray,
@@ -153,7 +157,7 @@ def solve(
         u = theta[free:-6].reshape(-1, 3)
         c, bias = theta[-6:-3], bias + theta[-3:]
         for one, part in zip(stretches, parts, strict=True):
-            errors[one.rows] = (part.to_errors @ (part.back @ (part.y - part.G @ theta))).reshape(-1, 3)
+            errors[one.rows] = (part.to_errors @ part.scores(theta)).reshape(-1, 3)
     covariance = _covariance(parts, theta, normal, variance)
     back = np.zeros((12, size))
     if with_S:
@@ -327,7 +331,7 @@ def _residual(one: Stretch, reading_nT: FloatArray, S: FloatArray, c: FloatArray
 
 def _deleted(one: Stretch, part: Cleared, theta: FloatArray, weights: FloatArray) -> FloatArray:
     """(n, 3) of readings and what the others in the stretch predict, over the root of the covariance, for unit variance."""
-    scores = (part.back @ (part.y - part.G @ theta)).reshape(-1, 3)
+    scores = part.scores(theta).reshape(-1, 3)
     value, vector = np.linalg.eigh(np.linalg.inv(part.weight))
     # as if the row had its whole weight; its own noise is one
     value = np.maximum(value - 1.0 / np.maximum(weights[one.rows], _LEAST_WEIGHT)[:, None] + 1.0, 1.0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import os
+import random
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy loads: small matrices, and the same bits everywhere
 
@@ -35,9 +36,11 @@ settings.load_profile("fluxtwin")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """--as-python: coverage.py sees a kernel as Python only, and with all others compiled few tests take long."""
+    """--as-python: coverage.py sees a kernel as Python only, and with all others compiled few tests take long.
+    --shuffle: a test that needs another to run before it fails."""
     words = "run the kernels of fluxtwin.MODULE as Python; repeatable"
     parser.addoption("--as-python", action="append", default=[], metavar="MODULE", help=words)
+    parser.addoption("--shuffle", type=int, metavar="SEED", help="files, and the tests of each, in a random order")
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -52,9 +55,16 @@ def pytest_configure(config: pytest.Config) -> None:
         vars(module).update(kernels)
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """The studies begin: their files take longest, and one begun last would keep one worker busy and the others idle."""
-    items.sort(key=lambda item: item.path.parent.name != "scenarios")
+    if (seed := config.getoption("--shuffle")) is None:
+        items.sort(key=lambda item: item.path.parent.name != "scenarios")
+        return
+    random.Random(seed).shuffle(items)
+    files = list(
+        dict.fromkeys(item.path for item in items)
+    )  # a file's tests stay together: they share what it computed
+    items.sort(key=lambda item: files.index(item.path))
 
 
 @pytest.fixture(scope="session")

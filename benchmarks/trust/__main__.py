@@ -1,6 +1,6 @@
 """What a user may trust in, measured: one table.
 
-python -m benchmarks.trust                 all of it: about half an hour; the table also goes to docs/trust.md
+python -m benchmarks.trust                 all of it: several hours; the table also goes to docs/trust.md
 python -m benchmarks.trust --quick         a little of each: does it still hold?
 python -m benchmarks.trust --mutants 200000 --only hostile
 python -m benchmarks.trust --only tests --record FILE    what benchmarks/mutants.py has found about the tests
@@ -23,7 +23,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from .. import mutants
-from . import disk, hostile, repeat
+from . import disk, hostile, orders, repeat
 from .harness import Row
 
 UNNOTICED = "small faults in sim, calib and gap that the nearest tests do not notice"
@@ -47,6 +47,7 @@ others; a crash by a signal is noticed.
 - *Commit*: the one that was tried. A row that was not tried again keeps its own.
 - The rows on tests: `benchmarks/mutants.py` puts one small fault at a time into the product
   ([those not noticed](design/unnoticed.md)), and coverage.py counts what they reach, compiled code run as Python.
+- *Tests in a random order*: files, and the tests of each, are shuffled; the load averages are of five minutes.
 - The rows on answers are counted from the newest frozen runs of `benchmarks/withheld.py` and from `benchmarks/sigmas.py`.
 
 | trial | how many | faults | wanted | found | commit |
@@ -66,6 +67,14 @@ def sections(options: argparse.Namespace) -> dict[str, Callable[[Path], list[Row
         "texts": lambda place: [repeat.texts(place, quick=quick)],
         "same bits": lambda place: repeat.same_bits(place, quick=quick),
         "places": lambda place: [repeat.places(place, quick=quick)],
+        "orders": lambda place: [
+            orders.orders(
+                place,
+                runs=options.runs,
+                loaded=options.loaded,
+                tests="tests/sim/base/test_seals.py" if quick else "tests",
+            )
+        ],
         **({"tests": lambda place: [unnoticed(options.record)]} if options.record else {}),
         "answers": lambda place: [healthy(), sizes()],
         **({"sigmas": lambda place: [pulls(options.sigmas)]} if options.sigmas else {}),
@@ -196,6 +205,8 @@ def main() -> int:
     parser.add_argument("--commands", type=int, help="damaged files through the commands")
     parser.add_argument("--bits", type=int, help="flipped bits")
     parser.add_argument("--disk", type=int, help="faults while a file is written")
+    parser.add_argument("--runs", type=int, help="runs of the tests in random order")
+    parser.add_argument("--loaded", type=int, help="how many of these have busy processes beside them")
     parser.add_argument("--only", action="append", help="this part alone; repeatable")
     parser.add_argument("--record", type=Path, metavar="FILE", help="what benchmarks/mutants.py wrote")
     parser.add_argument("--coverage", type=Path, metavar="FILE", help="what `coverage json` wrote")
@@ -208,12 +219,14 @@ def main() -> int:
         "commands": (400, 34),
         "bits": (1_500, 120),
         "disk": (300, 12),
+        "runs": (10, 2),
+        "loaded": (4, 1),
     }
     for name, (full, quick) in sizes.items():
         if getattr(options, name) is None:
             setattr(options, name, quick if options.quick else full)
-        if getattr(options, name) < 1:
-            parser.error(f"--{name} is 1 or more")
+        if getattr(options, name) < (name != "loaded"):
+            parser.error(f"--{name} is {int(name != 'loaded')} or more")
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     rows = []
     for row in measured(options):

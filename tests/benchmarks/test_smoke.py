@@ -129,7 +129,9 @@ def trust(tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, Any]]:
         for word, pull in (("good", 1.0), ("wide", 0.8))
     ]
     (folder / "sigmas.json").write_text(json.dumps({"cases": cases}), encoding="utf-8")
-    parts = [f"--only={part}" for part in ("hostile", "commands", "bits", "bombs", "disk", "answers", "sigmas")]
+    parts = [
+        f"--only={part}" for part in ("hostile", "commands", "bits", "bombs", "disk", "orders", "answers", "sigmas")
+    ]
     given = [*parts, "--sigmas", str(folder / "sigmas.json"), "--json", str(folder / "trust.json")]
     command = [sys.executable, "-m", "benchmarks.trust", "--quick", *given]
     done = subprocess.run(command, cwd=FOLDER.parent, capture_output=True, text=True, check=False)
@@ -145,7 +147,7 @@ def test_files_can_be_trusted(trust: list[dict[str, Any]]) -> None:
     assert rows["one bit flipped in a file of ours"]["trials"] >= 120
     readers = 22 - (importlib.util.find_spec("pyarrow") is None)
     assert f"copies of {readers} files" in rows["damaged files through their readers"]["note"]
-    assert len(rows) == 1 + 1 + 1 + 1 + 6
+    assert len(rows) == 1 + 1 + 1 + 1 + 6 + 1
 
 
 def test_what_frozen_runs_and_sigmas_have_found_is_counted(trust: list[dict[str, Any]]) -> None:

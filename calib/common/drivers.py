@@ -50,6 +50,8 @@ _MOVES = ((1.12, 0.12), (1.12, 0.12), (1.06, 0.06), (1.03, 0.03))
 _WIDE = (1.25, 0.25)
 """Of delay and lag, round by round: by what factor their sum is moved, and by how much the delay's share of it."""
 _GRID = np.stack(np.meshgrid([-1.0, 0.0, 1.0], [-1.0, 0.0, 1.0], indexing="ij"), axis=-1).reshape(9, 2)
+_BETTER = 1e-6
+"""Of chi-square: less is rounding."""
 _CONSTANT = 1e-9
 """Of its largest value, that a column must move by."""
 
@@ -190,19 +192,24 @@ def _lateness(asked: Asked, rows: np.ndarray, whole: F, columns: Columns, drops:
     for name in columns:
         raw, tried = asked.columns[name], lateness_tried(asked.time_s)
         values = drops(whole, known, name, _moved(asked, raw, tried)[rows])
-        best = int(np.argmax(values))
+        best = _likeliest(values)
         if values[best] - values[0] <= 2.0 * np.log(len(tried)):
             continue
         at, top = tried[best], float(values[best])
         for moves in (None, None, *_MOVES):
             near = lateness_near(*at) if moves is None else _near(at, _GRID, moves)
             values = drops(whole, known, name, _moved(asked, raw, near)[rows])
-            if values.max() > top:
-                at, top = near[int(np.argmax(values))], float(values.max())
+            if values.max() > top + _BETTER:
+                at, top = near[_likeliest(values)], float(values.max())
         lower = top - drops(whole, known, name, _moved(asked, raw, _near(at, _GRID, _WIDE))[rows])
         found[name] = _Late(*at, tuple(_near(at, _one_sigma(lower.reshape(3, 3)), _WIDE)))
         known[name] = late(asked.time_s, raw, *at)[rows]
     return found
+
+
+def _likeliest(values: FloatArray) -> int:
+    """The first of those that are best: a switch looks alike at every delay between two rows, but for rounding."""
+    return int(np.argmax(values >= values.max() - _BETTER))
 
 
 def _near(at: tuple[float, float], steps: FloatArray, moves: tuple[float, float]) -> list[tuple[float, float]]:

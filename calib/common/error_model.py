@@ -37,6 +37,7 @@ _TAU_LOG_SD = 0.5
 _SPARE = 8  # degrees of freedom that must remain
 _QUIETER = np.log(1000.0)  # white noise may be so much less than the residual
 _TRIED, _SEARCH = 4, 8  # rounds of the coordinate search from each start, and from the best of what they reach
+_BETTER = 1e-6  # in the log: less is rounding, which a coordinate that changes nothing must not follow
 _APART = 4.0  # cells that slow errors last at least: shorter ones are white noise to these data
 _BEYOND = 10.0  # longest time constant of the attitude over the longest stretch; 50 changes pulls by 2 %
 _INFORMED = 48  # cells and
@@ -357,7 +358,8 @@ def find_errors(of: LikelihoodCells, sigma_deg: float | None = None, tau_s: floa
     likelihood = _Likelihood(of, sigma_deg, tau_s)
     # A point near the maximum: the best that is reached from several starts, one coordinate after the other.
     found = [_climb_from(likelihood, p, _TRIED) for p in likelihood.starts()]
-    value, p = _climb_from(likelihood, max(found, key=lambda one: one[0])[1], _SEARCH)
+    best = max(one[0] for one in found)
+    value, p = _climb_from(likelihood, next(p for value, p in found if value >= best - _BETTER), _SEARCH)
     if not np.isfinite(value):
         return None
     samples, factor = likelihood.chain(p)
@@ -377,7 +379,7 @@ def _climb_from(likelihood: _Likelihood, p: FloatArray, rounds: int) -> tuple[fl
                 tried = p.copy()
                 tried[k] += sign * reach[k]
                 then = likelihood(tried)[0]
-                if then > value:
+                if then > value + _BETTER:
                     value, p = then, tried
                     reach[k] *= 1.5
                     break

@@ -15,6 +15,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import qr
 
 from fluxtwin.calib.common.digits import plain
 from fluxtwin.calib.common.records import parameter_names
@@ -111,6 +112,9 @@ def require_excitation(
     values, vectors = np.linalg.eigh(gram)
     noise = np.zeros(len(values))
     noise[1:4] = noise_variance_nT2 / field_rms_nT**2
+    dependent = values < ROUNDING
+    if dependent.any():
+        vectors[:, dependent] = _one_by_one(vectors[:, dependent], np.sqrt(np.diag(gram)))
     for value, v in zip(values, vectors.T, strict=True):
         from_noise = float(noise @ v**2)
         signal = value - from_noise
@@ -119,6 +123,21 @@ def require_excitation(
         if value < ROUNDING or hidden or relative > WORST_SIGMA:
             moves_nT = float(np.sqrt(max(value, 0.0)) * field_rms_nT)
             _refuse(v, fired, moves_nT, relative, within_noise=hidden and relative <= WORST_SIGMA)
+
+
+def _one_by_one(v: FloatArray, rms: FloatArray) -> FloatArray:
+    """(p, m) what each parameter moves, of columns of this rms (p,), in combinations of length 1 that move nothing, where v
+    (p, m) spans all of these. Eigenvectors of one eigenvalue are mixed in any way, by rounding alone: so each has one of m
+    parameters that the others do not have, and those of the same kind are taken together."""
+    own = qr(v.T, pivoting=True, mode="r")[1][: v.shape[1]]
+    apart = rms[:, None] * np.linalg.solve(v[own].T, v.T).T
+    apart /= np.linalg.norm(apart, axis=0)
+    moved = np.abs(apart) > PART
+    kinds = list(zip(moved[0], moved[1:4].any(axis=0), moved[4:].any(axis=0), strict=True))
+    alike = [place for place, kind in enumerate(kinds) if kind == kinds[0] and kind[2]]
+    if len(alike) > 1:
+        apart[:, 0] = np.sqrt(np.sum(apart[:, alike] ** 2, axis=1))
+    return np.asarray(apart)
 
 
 def _refuse(v: FloatArray, fired: np.ndarray, moves_nT: float, relative: float, *, within_noise: bool) -> None:

@@ -6,13 +6,16 @@ import hashlib
 import html.parser
 import json
 import os
+import platform
 import shutil
 import subprocess
 import sys
+import tomllib
 import unicodedata
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
 import fluxtwin
 from fluxtwin.sim.telemetry.telemetry_files import read_telemetry, write_telemetry
@@ -72,7 +75,7 @@ def same_bits(folder: Path, *, quick: bool) -> list[Row]:
             for file in base:
                 if said or now.get(file) != base[file]:
                     row.fault(f"{name}: {file}: {said or 'other bytes'}")
-    rows = [row]
+    rows = [row, _other_processor(folder, calls, folder / "one")]
     with timed(Row("jobs 1 and 2, chunks of 2 and 3 vehicles: numbers that differ")) as row:
         tables = []
         for jobs, chunk in ((1, 2), (2, 2), (2, 3)):
@@ -95,6 +98,56 @@ def same_bits(folder: Path, *, quick: bool) -> list[Row]:
         row.trials = len(base) - 1
         row.faults += [f"{file}: other bytes" for file in base if file != "hand.toml" and now.get(file) != base[file]]
     return [*rows, row]
+
+
+_OLDER = {"OPENBLAS_CORETYPE": "Sandybridge", "NPY_DISABLE_CPU_FEATURES": "X86_V3 X86_V4 AVX512_ICL AVX512_SPR"}
+_APART = 1e-10
+"""Of a number, or of the largest of its list or table: rounding, in sums of thousands."""
+
+
+_NOT_COMPARED = ("sha256", "source", "mean_nT")
+"""Of other digits; or a mean of residuals, which the fit makes nothing."""
+
+
+def _other_processor(folder: Path, calls: Sequence[str], one: Path) -> Row:
+    """What an older processor, whose sums round otherwise, makes of the same calls."""
+    with timed(Row("an older processor: numbers that differ", reach=f"less than {_APART:g}")) as row:
+        said = "" if platform.machine() in ("x86_64", "AMD64") else "not an x86 processor"
+        said = said or run(folder / "older", calls, {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", **_OLDER})
+        if said:
+            row.fault(said)
+            return row
+        most = 0.0
+        for file in sorted([*one.glob("*.json"), *one.glob("*.toml")]):
+            read = json.loads if file.suffix == ".json" else tomllib.loads
+            pair = (read((place / file.name).read_text(encoding="utf-8")) for place in (one, folder / "older"))
+            for name, apart in _differences(*pair):
+                row.trials += 1
+                most = max(most, apart)
+                if apart > _APART:
+                    row.fault(f"{file.name}: {name}: {apart:.1e}")
+        row.note = f"the largest difference is {most:.0e}"
+    return row
+
+
+def _differences(a: Any, b: Any, name: str = "") -> Iterator[tuple[str, float]]:
+    """How far two files are apart at each place: numbers by the largest beside them, all else nought or infinitely far."""
+    if isinstance(a, dict) and isinstance(b, dict) and a.keys() == b.keys():
+        for key in (one for one in a if one not in _NOT_COMPARED):
+            yield from _differences(a[key], b[key], f"{name}.{key}")
+        return
+    if not isinstance(a, list) or not isinstance(b, list) or len(a) != len(b):
+        a, b = [a], [b]
+    pairs = list(zip(a, b, strict=True))
+    numbers = [(float(x), float(y)) for x, y in pairs if all(type(one) in (int, float) for one in (x, y))]
+    if len(numbers) == len(pairs):
+        size = max((abs(x) for x, _ in numbers), default=0.0)
+        yield name, max((abs(x - y) for x, y in numbers), default=0.0) / max(size, 1e-300)
+    elif len(pairs) > 1:
+        for place, (x, y) in enumerate(pairs):
+            yield from _differences(x, y, f"{name}.{place}")
+    else:
+        yield name, 0.0 if a == b else float("inf")
 
 
 _NO_SOCKETS = """

@@ -136,18 +136,16 @@ def _differences(a: Any, b: Any, name: str = "") -> Iterator[tuple[str, float]]:
         for key in (one for one in a if one not in _NOT_COMPARED):
             yield from _differences(a[key], b[key], f"{name}.{key}")
         return
-    if not isinstance(a, list) or not isinstance(b, list) or len(a) != len(b):
-        a, b = [a], [b]
-    pairs = list(zip(a, b, strict=True))
-    numbers = [(float(x), float(y)) for x, y in pairs if all(type(one) in (int, float) for one in (x, y))]
-    if len(numbers) == len(pairs):
-        size = max((abs(x) for x, _ in numbers), default=0.0)
-        yield name, max((abs(x - y) for x, y in numbers), default=0.0) / max(size, 1e-300)
-    elif len(pairs) > 1:
+    whole = [a, b] if isinstance(a, list) and isinstance(b, list) and len(a) == len(b) else [[a], [b]]
+    pairs = list(zip(*whole, strict=True))
+    if all(type(one) in (int, float) for pair in pairs for one in pair):
+        size = max((abs(x) for x, _ in pairs), default=0.0)
+        yield name, max((abs(x - y) for x, y in pairs), default=0.0) / max(size, 1e-300)
+    elif whole == [[a], [b]]:
+        yield name, 0.0 if a == b else float("inf")
+    else:
         for place, (x, y) in enumerate(pairs):
             yield from _differences(x, y, f"{name}.{place}")
-    else:
-        yield name, 0.0 if a == b else float("inf")
 
 
 _NO_SOCKETS = """

@@ -26,7 +26,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.linalg import block_diag, null_space, solve_triangular
+from scipy.linalg import block_diag, null_space
 
 from fluxtwin.sim.base.types import FloatArray
 
@@ -315,12 +315,10 @@ class _Likelihood:
                 left.T @ (both * part[:, None, :, None]).reshape(size, size) @ left
                 for part in (np.expm1(-x), x * np.exp(-x))
             )
-            total = white + turned  # without noise of full rank only to rounding
-            root = np.linalg.cholesky(total + 1e-9 * np.trace(total) / len(total) * np.eye(len(total)))
-            rates = [
-                solve_triangular(root, solve_triangular(root, one, lower=True).T, lower=True)
-                for one in (turned, slower, white)
-            ]
+            powers, vectors = np.linalg.eigh(white + turned)
+            # Without noise it has full rank, and no value below zero, only to rounding.
+            whitens = vectors / np.sqrt(np.maximum(powers, 1e-9 * powers.mean()))
+            rates = [whitens.T @ one @ whitens for one in (turned, slower, white)]
             information = np.einsum("aij,bij->ab", rates, rates)
             values.append(0.5 * np.linalg.slogdet(information)[1])
         return logs, np.array(values)

@@ -132,8 +132,7 @@ def _one_by_one(v: FloatArray, rms: FloatArray) -> FloatArray:
     own = qr(v.T, pivoting=True, mode="r")[1][: v.shape[1]]
     apart = rms[:, None] * np.linalg.solve(v[own].T, v.T).T
     apart /= np.linalg.norm(apart, axis=0)
-    moved = np.abs(apart) > PART
-    kinds = list(zip(moved[0], moved[1:4].any(axis=0), moved[4:].any(axis=0), strict=True))
+    kinds = [(bool(one[0]), bool(one[1:4].any()), bool(one[4:].any())) for one in np.abs(apart.T) > PART]
     alike = [place for place, kind in enumerate(kinds) if kind == kinds[0] and kind[2]]
     if len(alike) > 1:
         apart[:, 0] = np.sqrt(np.sum(apart[:, alike] ** 2, axis=1))

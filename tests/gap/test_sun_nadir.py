@@ -62,6 +62,13 @@ def test_passes_of_any_size_explain_by_chance_as_often_as_is_said():
     assert _by_signs(size * np.ones((11, 6)), np.eye(6)) < 2.0 * 2.0**-10
 
 
+def test_the_errors_themselves_with_all_signs_turned_are_no_others():
+    """Four passes of one sign: of the sixteen choices, two explain as much as they do, and both are they."""
+    rng = np.random.default_rng(6)
+    for _ in range(50):
+        assert _by_signs(rng.uniform(0.5, 2.0, (4, 1)) * np.full((4, 2), np.pi), np.eye(2)) == 0.0
+
+
 def test_a_reported_orbit_that_is_wrong_is_no_fault_of_a_sensor():
     """The nadir is computed from the reported position: turned by 0.5 deg about a slanting axis, which is an error along
     the orbit and of its plane at once, it looks like a biased scanner until the orbit may be wrong too."""

@@ -19,7 +19,7 @@ from scipy.stats import binom, chi2, norm
 from worlds import scenario_text
 
 from fluxtwin.calib.common.apply import apply_calibration
-from fluxtwin.calib.common.drivers import _Late, _with_lateness, distinguishable
+from fluxtwin.calib.common.drivers import _Late, _likeliest, _with_lateness, distinguishable
 from fluxtwin.calib.common.fit import Fit
 from fluxtwin.calib.common.onboard import composed
 from fluxtwin.calib.common.records import Calibration, Onboard, TelemetryBias, seconds_of
@@ -454,3 +454,7 @@ def test_products_of_columns_are_those_of_generalized_least_squares() -> None:
         wanted += X.T @ np.linalg.solve(C, X)
     found = driver_fields._products(fit, design, np.arange(6), [part])
     assert found == pytest.approx(wanted, rel=1e-9, abs=1e-12)
+
+
+def test_of_delays_that_are_alike_but_for_rounding_the_first_is_taken() -> None:
+    assert _likeliest(np.array([1.0, 5.0 - 1e-12, 5.0, 4.0])) == 1

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ from scipy.signal import lfilter
 
 from fluxtwin.calib.common.design import Design
 from fluxtwin.calib.common.error_kernels import whitened_gram
-from fluxtwin.calib.common.error_model import LikelihoodCells, _Likelihood
+from fluxtwin.calib.common.error_model import LikelihoodCells, _climb_from, _Likelihood
 from fluxtwin.calib.common.shrinkage import widening
 from fluxtwin.calib.linear.calibrate import calibrate_linear, fit_design
 from fluxtwin.calib.linear.method import LinearOptions
@@ -267,3 +267,13 @@ def test_the_reference_prior_is_the_root_of_the_information() -> None:
         rates = [np.linalg.solve(V(*at), V(*(at + h)) - V(*(at - h))) / 2e-4 for h in 1e-4 * np.eye(3)]
         information = np.array([[np.trace(a @ b) for b in rates] for a in rates])
         assert value == pytest.approx(0.5 * np.linalg.slogdet(information)[1], abs=1e-6)
+
+
+def test_a_size_that_changes_nothing_does_not_follow_rounding() -> None:
+    """A time constant of an error that is not there: else the sigmas would depend on the processor."""
+
+    def likelihood(p: np.ndarray) -> tuple[float, float]:
+        return -float(p[0] ** 2) + 1e-12 * float(np.sin(1e9 * p[1])), 1.0
+
+    value, found = _climb_from(cast(_Likelihood, likelihood), np.full(5, 0.3), 8)
+    assert abs(found[0]) < 0.3 and found[1:].tolist() == [0.3] * 4 and value > -0.09

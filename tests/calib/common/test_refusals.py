@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from fluxtwin.calib.common.observability import _one_by_one
 from fluxtwin.calib.common.verdict import worst_pairs
 from fluxtwin.calib.linear.calibrate import calibrate_linear
 from fluxtwin.sim.base.errors import BadInput, NoAnswer
@@ -68,6 +69,22 @@ def test_a_dipole_in_proportion_to_the_field(seasat: Any, direction: str) -> Non
     named = refusal.value.evidence["parameters"]
     assert any(name.startswith("S") for name in named)
     assert any(name.startswith("T") for name in named)
+
+
+def test_what_moves_nothing_is_the_same_however_rounding_mixes_it() -> None:
+    """Three coils, each in proportion to its own component of a field that is weak along y: they are named
+    together, however the eigenvectors of their one eigenvalue are turned."""
+    rms = np.array([1.0, 0.6, 0.1, 0.79, 1.0, 1.0, 1.0])
+    null = np.zeros((7, 3))
+    for k in range(3):
+        null[[1 + k, 4 + k], k] = 1.0, -rms[1 + k]
+    null /= np.linalg.norm(null, axis=0)
+    found = []
+    for seed in range(20):
+        turn = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))[0]
+        found.append(_one_by_one(null @ turn, rms)[:, 0])
+    assert np.ptp(found, axis=0).max() < 1e-12
+    assert np.allclose(found[0][1:], np.sqrt(0.5))
 
 
 def test_coils_that_always_fire_together(seasat: Any) -> None:

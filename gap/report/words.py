@@ -147,7 +147,8 @@ def named(
     causes += f" and perhaps {' and '.join(others)}" if others else ""
     rest = f" The explanation is incomplete: {remains}." if gap.shape_incomplete else ""
     rest += f" In addition, {outlying}." if outlying else ""
-    return f"The gap is explained by {causes}{_closed(effects, gap, momentum)}.{rest}"
+    how = "is explained in part by" if gap.shape_incomplete else "is explained by"
+    return f"The gap {how} {causes}{_closed(effects, gap, momentum)}.{rest}"
 
 
 def not_tested(names: Sequence[str]) -> str:

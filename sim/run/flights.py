@@ -18,7 +18,7 @@ from fluxtwin.sim.base.types import FloatArray, TimeArray
 from fluxtwin.sim.earth import epoch, frames
 from fluxtwin.sim.earth.field import load_field
 from fluxtwin.sim.effects.base import DynamicsEffect
-from fluxtwin.sim.run.spacecraft import torquer_schedule
+from fluxtwin.sim.run.spacecraft import magnetometer, torquer_schedule
 from fluxtwin.sim.run.world import ephemeris
 from fluxtwin.sim.scenario.dynamics_sections import ControlSection, DynamicsSection
 from fluxtwin.sim.scenario.effect_sections import active_effects
@@ -26,7 +26,7 @@ from fluxtwin.sim.scenario.scenario import Scenario
 from fluxtwin.sim.scenario.sections import SegmentSection
 from fluxtwin.sim.spacecraft.dynamics.environment import Environment, environment_along
 from fluxtwin.sim.spacecraft.dynamics.flight import Flight, Start, fly
-from fluxtwin.sim.spacecraft.dynamics.vehicle import Compass, Target, Vehicle, Wheel
+from fluxtwin.sim.spacecraft.dynamics.vehicle import PERFECT, Target, Vehicle, Wheel
 from fluxtwin.sim.spacecraft.torques import Torque, Torquers
 from fluxtwin.sim.spacecraft.wheels import RPM_PER_RAD_S
 
@@ -162,7 +162,7 @@ def vehicle_of(scenario: Scenario) -> Vehicle:
         torques=tuple(torques),
         control=_control(scenario).law,
         target=target_of(scenario),
-        compass=_compass(scenario),
+        compass=PERFECT if _control(scenario).magnetometer == "perfect" else magnetometer(scenario),
     )
     for effect, theta in _moving_effects(scenario):
         vehicle = effect.on(vehicle, theta)
@@ -188,12 +188,6 @@ def _wheels(scenario: Scenario) -> tuple[Wheel, ...]:
         )
         for axis in section.axes_B
     )
-
-
-def _compass(scenario: Scenario) -> Compass:
-    if _control(scenario).magnetometer == "perfect":
-        return Compass()
-    return Compass(np.array(scenario.magnetometer.S), np.array(scenario.magnetometer.bias_nT))
 
 
 def target_of(scenario: Scenario) -> Target:

@@ -60,7 +60,7 @@ def simulate_replay(scenario: Scenario, progress: Progress = silent) -> tuple[Te
     motion = RecordedMotion(recorded.time, world.r_N_km, world.v_N_km_s, attitude.R_BN, recorded.rate_B_rad_s)
     columns = recorded_columns(recorded)
     if recorded.dipole_B_Am2 is None:
-        columns["dipole_B_Am2"] = chain.torquer_dipole_B_Am2(scenario, world, attitude)
+        columns["dipole_B_Am2"] = chain.torquer_dipole_B_Am2(scenario, world.time)
     signal = chain.fly_magnetometer(scenario, world, motion, columns, direction="predict")
     provenance = {"source": "simulation along a recorded file", "spacecraft": scenario.spacecraft.name}
     second_B_nT = chain.second_reading_B_nT(scenario, signal)

@@ -34,7 +34,7 @@ def simulate(scenario: Scenario, *, world: World | None = None, progress: Progre
     progress("sensors", 0.8)
     columns |= chain.fly_sensors(scenario, world, attitude)
     q_NB = columns.pop("q_NB")
-    columns["dipole_B_Am2"] = chain.torquer_dipole_B_Am2(scenario, world, attitude)
+    columns["dipole_B_Am2"] = chain.torquer_dipole_B_Am2(scenario, world.time)
     signal = chain.fly_magnetometer(scenario, world, motion, columns)
     progress("done", 1.0)
     telemetry = _as_read(scenario, world, chain.to_telemetry(scenario, signal, columns, q_NB))

@@ -9,7 +9,7 @@ from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.scenario.scenario import Scenario
 from fluxtwin.sim.scenario.sections import MagnetometerSection, SecondMagnetometerSection
 from fluxtwin.sim.spacecraft.sensors.magnetometer import Magnetometer
-from fluxtwin.sim.spacecraft.torquers import ConstantDipole, TorquerSchedule, coupling_nT_per_Am2, draw_random_duty
+from fluxtwin.sim.spacecraft.torquers import ConstantDipole, RandomDuty, coupling_nT_per_Am2, draw_random_duty
 
 
 def magnetometer(scenario: Scenario, name: str = "magnetometer") -> Magnetometer:
@@ -41,7 +41,7 @@ def torquer_correction(scenario: Scenario, section: MagnetometerSection | None =
     return (scenario.torquers.compensation - 1.0) * coupling_nT_per_Am2(positions_B_m)
 
 
-def torquer_schedule(scenario: Scenario) -> TorquerSchedule:
+def torquer_schedule(scenario: Scenario) -> ConstantDipole | RandomDuty:
     """What the torquers do in this scenario with this seed."""
     section = scenario.torquers
     if section is None or section.activity == "off":

@@ -172,7 +172,7 @@ def fly(
         np.zeros((0, 3)) if dipoles_B_Am2 is None else np.ascontiguousarray(dipoles_B_Am2, dtype=np.float64),
         np.zeros((0, 6)) if knowledge is None else np.ascontiguousarray(knowledge, dtype=np.float64),
         np.array(vehicle.target.row),
-        np.array(vehicle.compass.row),
+        np.array(vehicle.compass_row),
         vehicle.share,
         float(step_s),
         np.array([control_every, log_every]),

@@ -9,8 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.earth import frames, horizon
-from fluxtwin.sim.spacecraft.sensors.horizon_crossings import ConicalScanner
-from fluxtwin.sim.spacecraft.sensors.horizon_scanner import HorizonScannerSection
+from fluxtwin.sim.spacecraft.sensors.horizon_scanner import ConicalScanner, HorizonScannerSection
 
 pytestmark = pytest.mark.reference
 

@@ -24,8 +24,6 @@ from fluxtwin.sim.telemetry.netcdf_files import NetcdfFile
 from fluxtwin.sim.telemetry.quantities import BY_MAP_NAME, family_of
 from fluxtwin.sim.telemetry.selection import STAMPS, Condition, condition
 
-_LIST_BYTES = 400
-"""Width of a cell that holds a list of numbers, at most."""
 _NAMED = 3  # files in one notice; the others are counted
 
 
@@ -123,7 +121,7 @@ class _Reader:
         if isinstance(self.file, CsvFile) or (
             isinstance(self.file, Table) and self.file.columns[name].dtype.kind == "S"
         ):
-            text = self._blanked(self.file.text(name, width=_LIST_BYTES), b"")
+            text = self._blanked(self.file.text(name, width=column_map_values.LIST_BYTES), b"")
             return column_map_values.from_lists(text, name, self.where)
         return self.numbers([name])
 

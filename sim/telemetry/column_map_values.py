@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 PLACES = ("geodetic", "geocentric")
 """Frames of a position whose columns are latitude, longitude and height."""
 _BETWEEN = re.compile(rb"[\s,;|\\\[\](){}]+")
+LIST_BYTES = 400
+"""Width of a cell that holds a list of numbers, at most."""
 _FILL_TOLERANCE = 1e-6
 """A fill value as 1e31 was often stored in single precision."""
 MEASURED = ("sun nadir", "nadir sun")

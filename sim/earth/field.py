@@ -60,9 +60,6 @@ def field_N_nT(
     """
     r, stamps = _checked(time, r_N_km)
     turn = frames.rotation_EN(stamps) if R_EN is None else R_EN
-    turns = 1 if turn.single else len(turn)
-    if turns not in (1, r.shape[0]):
-        raise BadInput(f"{turns} rotations for {r.shape[0]} positions", where="R_EN", wanted="one, or one each")
     return np.asarray(turn.inv().apply(field_E_nT(model, stamps, turn.apply(r))))
 
 
@@ -97,11 +94,8 @@ def design_matrix_E(degree: int, r_E_km: FloatArray) -> FloatArray:
 
     Column g of (n, m) is -a grad[(a/r)**(n + 1) P_n^m(sin latitude) cos(m longitude)] with Schmidt's P;
     column h is the same with the sine: the sum of `field_kernels`, coefficient by coefficient, in plain numpy.
-    K = degree (degree + 2), in the order of `field_models`. Raises as `field_E_nT` for positions, OutOfRange
-    for a degree below 1.
+    K = degree (degree + 2), in the order of `field_models`. Raises as `field_E_nT` for positions.
     """
-    if degree < 1:
-        raise OutOfRange(f"degree {degree}", where="design matrix", wanted="1 or more")
     r = _positions(r_E_km)
     design = np.empty((r.shape[0], 3, degree * (degree + 2)))
     harmonics = _harmonics(degree + 1, r)  # A + i B, [degree, order]

@@ -32,10 +32,6 @@ class Station:
     altitude_km: float = 0.0
     mask_rad: float = 0.0
 
-    def __post_init__(self) -> None:
-        if not (abs(self.latitude_rad) <= 0.5 * np.pi and abs(self.mask_rad) < 0.5 * np.pi):
-            raise BadInput(f"{self}", where=f"station {self.name}", wanted="a latitude and a mask within 90 deg")
-
     @property
     def r_E_km(self) -> FloatArray:
         """(3,) Earth-fixed position."""

@@ -131,8 +131,6 @@ class ColumnSpec(Strict):
     """Order of the quaternion's components; xyz leaves the scalar out (it is taken as positive)."""
     sense: Literal["textbook", "conjugate"] = "textbook"
     """textbook: the attitude matrix of the quaternion maps reference components to body components."""
-    angles: Literal["yaw_roll_pitch_deg", "yaw_roll_pitch_rad"] | None = None
-    """The three columns are the 3-1-2 angles instead of a quaternion: `euler = "ZXY"` with the unit in it."""
     euler: str | None = None
     """Axes of the three angles, as scipy has them: "ZYX" turns about the body's axes, "zyx" about those of the reference;
     the rotation takes the reference's axes to the body's."""

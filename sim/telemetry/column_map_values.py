@@ -31,7 +31,6 @@ MEASURED = ("sun nadir", "nadir sun")
 """Directions that are measured in body axes: the attitude is relative to axes made of the same two."""
 _BODY_AXES = tuple(f"{a} {b}" for a in "xyz" for b in "xyz" if a != b)
 VECTORS = (*MEASURED, *_BODY_AXES)
-_OLD_ANGLES = {"yaw_roll_pitch_deg": "deg", "yaw_roll_pitch_rad": "rad"}
 _EULER = re.compile(r"([xyz]{3}|[XYZ]{3})")
 _PARALLEL = 0.02
 """Sine of the angle between two directions below which they make no attitude."""
@@ -134,7 +133,7 @@ def check(name: str, spec: ColumnSpec, quantity: Quantity | None) -> None:
 
 def check_attitude(spec: ColumnSpec) -> None:
     """Raises ValueError in words where the keys of an attitude do not say one."""
-    stated = [key for key in ("order", "angles", "euler", "vectors") if getattr(spec, key) is not None]
+    stated = [key for key in ("order", "euler", "vectors") if getattr(spec, key) is not None]
     if len(stated) != 1:
         raise ValueError(
             "attitude wants either order (xyzw, wxyz, xyz), euler (ZYX and the like) or vectors"
@@ -190,11 +189,10 @@ def quaternion(value: FloatArray, spec: ColumnSpec, where: str) -> FloatArray:
 def _of_rows(value: FloatArray, spec: ColumnSpec, where: str, rows: np.ndarray) -> FloatArray:
     if spec.vectors is not None:
         turned = _from_vectors(value, spec.vectors)
-    elif spec.order is None:
-        unit = spec.unit or _OLD_ANGLES[str(spec.angles)]
-        turned = Rotation.from_euler(spec.euler or "ZXY", value, degrees=unit == "deg")
+    elif spec.euler is not None:
+        turned = Rotation.from_euler(spec.euler, value, degrees=spec.unit == "deg")
     else:
-        return _ordered(value, spec.order, where, rows)
+        return _ordered(value, str(spec.order), where, rows)
     return np.asarray(np.atleast_2d(turned.as_quat(canonical=True)))
 
 

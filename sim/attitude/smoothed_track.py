@@ -157,7 +157,6 @@ class AttitudeTrack:
 
     @property
     def degree(self) -> int:
-        """Of the polynomials."""
         return int(self.coefficients_rad.shape[1]) - 1
 
     def at(self, moments_s: FloatArray) -> Rotation:

@@ -68,12 +68,10 @@ class Orbit:
 
     @property
     def semi_major_axis_km(self) -> float:
-        """Semi-major axis a [km]."""
         return self.altitude_km + EARTH_RADIUS_KM
 
     @property
     def rates(self) -> OrbitalRates:
-        """Secular rates [rad/s]."""
         return orbital_rates(self.semi_major_axis_km, self.eccentricity, self.inclination_rad)
 
     @property

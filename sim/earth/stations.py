@@ -34,7 +34,6 @@ class Station:
 
     @property
     def r_E_km(self) -> FloatArray:
-        """(3,) Earth-fixed position."""
         return np.asarray(frames.from_geodetic(*self._angles(), np.array([self.altitude_km]))[0])
 
     @property
@@ -66,7 +65,6 @@ class Contact:
 
     @property
     def seconds(self) -> float:
-        """Length [s]."""
         return float(epoch.seconds_since(self.set, self.rise)[0])
 
 

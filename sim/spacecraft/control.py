@@ -69,7 +69,6 @@ class BDot(Control):
             memory[axis] = field
 
     def packed(self, inertia_kg_m2: FloatArray) -> list[float]:
-        """The gain [A m2 s/T]."""
         return [self.gain_Am2_s_per_T]
 
 

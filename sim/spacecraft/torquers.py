@@ -21,7 +21,6 @@ class ConstantDipole:
     dipole_Am2: Dipole = (0.0, 0.0, 0.0)
 
     def dipole_B_Am2(self, time: TimeArray) -> FloatArray:
-        """(N, 3) dipole at each stamp."""
         return np.tile(np.asarray(self.dipole_Am2, dtype=np.float64), (clock.as_times(time).size, 1))
 
 

@@ -111,7 +111,6 @@ class ResidualDipole(Torque):
         stage[TORQUE + 2] += mx * by - my * bx
 
     def packed(self, inertia_kg_m2: FloatArray) -> list[float]:
-        """The dipole [A m2]."""
         return list(self.dipole_Am2)
 
 
@@ -191,7 +190,6 @@ class EddyCurrents(Torque):
         stage[TORQUE + 2] += mx * by - my * bx
 
     def packed(self, inertia_kg_m2: FloatArray) -> list[float]:
-        """xx, yy, zz, xy, xz, yz."""
         K = self.K_Am2_s_per_T
         return [K[0][0], K[1][1], K[2][2], K[0][1], K[0][2], K[1][2]]
 
@@ -212,7 +210,6 @@ class Plate(Section):
         return self
 
     def row(self) -> list[float]:
-        """Area, unit normal, centre: PLATE_SIZE numbers."""
         normal = np.array(self.normal_B) / np.linalg.norm(self.normal_B)
         return [self.area_m2, *normal.tolist(), *self.centre_m]
 
@@ -326,7 +323,6 @@ class SolarPressure(Torque):
                 stage[TORQUE + 2] += cx * fy - cy * fx
 
     def packed(self, inertia_kg_m2: FloatArray) -> list[float]:
-        """Number of plates, C_s, C_d, and the plates."""
         rows = chain.from_iterable(plate.row() for plate in self.plates)
         return [float(len(self.plates)), self.specular, self.diffuse, *rows]
 
@@ -360,7 +356,6 @@ class DragMoment(Torque):
         stage[TORQUE + 2] += mx * uy - my * ux
 
     def packed(self, inertia_kg_m2: FloatArray) -> list[float]:
-        """The moment [m3]."""
         return list(self.moment_m3)
 
 
@@ -390,7 +385,6 @@ class SunlightMoment(Torque):
         stage[TORQUE + 2] += mx * sy - my * sx
 
     def packed(self, inertia_kg_m2: FloatArray) -> list[float]:
-        """The moment [m3]."""
         return list(self.moment_m3)
 
 

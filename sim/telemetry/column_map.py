@@ -74,7 +74,6 @@ class TimeRecipe(Strict):
 
     @property
     def names(self) -> list[str]:
-        """The columns as a list."""
         return [self.columns] if isinstance(self.columns, str) else self.columns
 
     @model_validator(mode="after")
@@ -142,7 +141,6 @@ class ColumnSpec(Strict):
 
     @property
     def names(self) -> list[str]:
-        """The columns as a list."""
         return [self.source] if isinstance(self.source, str) else self.source
 
     @property

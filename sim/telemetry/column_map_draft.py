@@ -187,7 +187,6 @@ def _alike(headers: list[Header]) -> list[Header]:
 
 
 def _common(names: Sequence[str]) -> str:
-    """What all begin with."""
     return "".join(one[0] for one in itertools.takewhile(lambda one: len(set(one)) == 1, zip(*names, strict=False)))
 
 
@@ -278,7 +277,6 @@ _Found = tuple[str, list[str], dict[str, object], list[str]]
 
 
 def _quantities(header: Header, free: list[str], *, by_size: bool) -> list[_Found]:
-    """Quantity, columns, keys of the map, doubts."""
     out: list[_Found] = []
     ours = [name for name in free if not (_NO_STATE.search(_stem([name])) or "cmd" in name.lower())]
     attitude = _quaternion(header, ours) or _angles(header, ours) or _matrix(header, ours)

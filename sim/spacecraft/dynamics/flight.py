@@ -57,7 +57,6 @@ class Flight:
 
     @property
     def seconds_s(self) -> FloatArray:
-        """(R,) since the start."""
         return self.spacing_s * np.arange(len(self.q_NB), dtype=np.float64)
 
     def attitude(self, seconds: FloatArray) -> Attitude:

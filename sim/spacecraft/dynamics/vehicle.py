@@ -32,7 +32,6 @@ class Wheel:
 
     @property
     def row(self) -> list[float]:
-        """As the kernel has it."""
         axis = np.asarray(self.axis_B, dtype=np.float64) / np.linalg.norm(self.axis_B)
         return [*axis.tolist(), *astuple(self)[1:]]
 
@@ -86,7 +85,6 @@ class Vehicle:
 
     @property
     def wheel_rows(self) -> FloatArray:
-        """(W, WHEEL_SIZE)."""
         return np.array([wheel.row for wheel in self.wheels], dtype=np.float64).reshape(-1, layout.WHEEL_SIZE)
 
     @property

@@ -59,7 +59,6 @@ class HorizonScannerSection(SensorSection):
 
     @property
     def conical(self) -> ConicalScanner:
-        """Its scans."""
         axes = {"pair": (1, -1), "+y": (1,), "-y": (-1,)}[self.scans]
         return ConicalScanner(axes, float(np.radians(self.half_cone_deg)))
 

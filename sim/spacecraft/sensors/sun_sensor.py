@@ -37,7 +37,6 @@ class SunSensorSection(SensorSection):
 
     @property
     def boresight_B(self) -> FloatArray:
-        """(3,) unit vector."""
         azimuth, elevation = np.radians(self.azimuth_deg), np.radians(self.elevation_deg)
         flat = np.cos(elevation)
         z = np.array([flat * np.cos(azimuth), flat * np.sin(azimuth), -np.sin(elevation)])
@@ -45,7 +44,6 @@ class SunSensorSection(SensorSection):
 
     @property
     def R_HB(self) -> Rotation:
-        """Body to nominal head axes."""
         azimuth, z = np.radians(self.azimuth_deg), self.boresight_B
         y = np.cross(z, [-np.sin(azimuth), np.cos(azimuth), 0.0])
         y = y / np.linalg.norm(y)

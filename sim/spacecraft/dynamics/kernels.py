@@ -14,7 +14,9 @@ is called where its parameters are present (packed[slot] is where they begin, 0 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
 from math import cos, sin, sqrt
+from types import FunctionType
 from typing import Any
 
 import numpy as np
@@ -58,11 +60,19 @@ _CURIOUS = tuple(t.needs_field or t.needs_sun or t.needs_air for t in TORQUES)
 _TORQUERS = [torque.name for torque in TORQUES].index("torquers")
 
 
+@cache
+def _compiled(function: FunctionType) -> Any:
+    """A plain function for the kernels, and with it those that it calls."""
+    called = [name for name in function.__code__.co_names if isinstance(function.__globals__.get(name), FunctionType)]
+    inner = {name: _compiled(function.__globals__[name]) for name in called}
+    return part(**PART)(FunctionType(function.__code__, function.__globals__ | inner))
+
+
 def _chain(functions: Sequence[Any], slot: int) -> Any:
     """One function that calls, of these, each one whose parameters are present; compiled, every call is direct."""
     if not functions:
         return part()(lambda slots, packed, *rest: None)
-    first, following = part(**PART)(functions[0]), _chain(functions[1:], slot + 1)
+    first, following = _compiled(functions[0]), _chain(functions[1:], slot + 1)
 
     @part(**PART)
     def run(slots: Any, packed: Any, *rest: Any) -> None:
@@ -75,7 +85,8 @@ def _chain(functions: Sequence[Any], slot: int) -> Any:
 
 torque_chain = _chain([torque.add for torque in TORQUES], 0)
 _decide = _chain([law.decide for law in CONTROLS], _LAWS)
-_drive = part(**PART)(torques.drive)
+_drive = _compiled(torques.drive)
+_to_body = _compiled(layout.to_body)
 
 
 @kernel(uses=PARTS, nogil=True, **OPTIONS)
@@ -228,15 +239,6 @@ def _feel(stage: FloatArray) -> None:
     """Field in the body."""
     bx, by, bz = _to_body(stage, stage[FIELD_N], stage[FIELD_N + 1], stage[FIELD_N + 2])
     stage[FIELD], stage[FIELD + 1], stage[FIELD + 2] = bx, by, bz
-
-
-@part(**PART)
-def _to_body(stage: FloatArray, x: float, y: float, z: float) -> tuple[float, float, float]:
-    return (
-        stage[ROTATION] * x + stage[ROTATION + 1] * y + stage[ROTATION + 2] * z,
-        stage[ROTATION + 3] * x + stage[ROTATION + 4] * y + stage[ROTATION + 5] * z,
-        stage[ROTATION + 6] * x + stage[ROTATION + 7] * y + stage[ROTATION + 8] * z,
-    )
 
 
 @part(**PART)

@@ -15,16 +15,6 @@ Dipole = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
-class ConstantDipole:
-    """The same dipole always; zero is a torquer that is off."""
-
-    dipole_Am2: Dipole = (0.0, 0.0, 0.0)
-
-    def dipole_B_Am2(self, time: TimeArray) -> FloatArray:
-        return np.tile(np.asarray(self.dipole_Am2, dtype=np.float64), (clock.as_times(time).size, 1))
-
-
-@dataclass(frozen=True)
 class RandomDuty:
     """Momentum unloading: each axis on or off at random, in slots of `dwell_s`, either way round.
 

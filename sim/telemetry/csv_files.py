@@ -105,17 +105,14 @@ class CsvFile:
             raise self._bad_cell(names) from None
         found = {name: np.ascontiguousarray(column) for name, column in zip(names, table.T, strict=True)}
         for name, value in found.items() if np.isinf(table).any() else ():
-            self._finite(name, value)
+            rows = np.flatnonzero(np.isinf(value))
+            if rows.size:
+                raise BadInput(
+                    f"{clip(name)} in row {rows[0] + 1} is infinite or too large for a number",
+                    where=self.where,
+                    wanted="finite numbers; blank or NaN where a value is missing",
+                )
         return found
-
-    def _finite(self, name: str, value: FloatArray) -> None:
-        rows = np.flatnonzero(np.isinf(value))
-        if rows.size:
-            raise BadInput(
-                f"{clip(name)} in row {rows[0] + 1} is infinite or too large for a number",
-                where=self.where,
-                wanted="finite numbers; blank or NaN where a value is missing",
-            )
 
     def _bad_cell(self, names: list[str]) -> BadInput:
         for name in names:

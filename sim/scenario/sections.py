@@ -272,23 +272,6 @@ class PowerSection(Section):
     taper_above: Annotated[float, Field(gt=0, lt=1)] = 0.9
 
 
-class ThermalSection(Section):
-    """A first-order lag between two equilibria, sunlit and eclipse, with an optional thermostat."""
-
-    sunlit_degC: float
-    eclipse_degC: float
-    time_constant_min: Positive
-    heater_on_below_degC: float | None = None
-    heater_off_above_degC: float | None = None
-    heater_rise_degC: NonNegative = 0.0
-
-    @model_validator(mode="after")
-    def _thermostat(self) -> Self:
-        if (self.heater_on_below_degC is None) != (self.heater_off_above_degC is None):
-            raise ValueError("a heater needs both heater_on_below_degC and heater_off_above_degC")
-        return self
-
-
 class WheelsSection(Section):
     """Reaction wheels, one spin axis each, that carry a momentum profile, or what the dynamics gives them."""
 

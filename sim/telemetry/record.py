@@ -165,7 +165,8 @@ class Telemetry(Shown):
         return self._known(self.r_N_km)
 
     def _known(self, value: FloatArray | None) -> BoolArray:
-        return np.zeros(len(self), dtype=bool) if value is None else np.isfinite(value).all(axis=1)
+        known = np.zeros(len(self)) if value is None else np.isfinite(value).all(axis=1)
+        return np.asarray(known, dtype=bool)
 
     @classmethod
     def from_pandas(cls, frame: Any) -> Telemetry:

@@ -74,7 +74,7 @@ def campaign(
         raise BadInput(f"{runs} runs", where="--runs", wanted="1 or more")
     plan = make_plan(as_scenario(scenario), runs, seed, min(_IN_PART, runs))
     for number in range(plan.chunks):
-        plan.checked(number)
+        plan.check(number)
     files.writable_folder(folder)
     if (folder / RECORD).exists():
         if not resume:

@@ -13,11 +13,10 @@ from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.shown import Shown
 from fluxtwin.sim.base.types import FloatArray, TimeArray
 from fluxtwin.sim.earth import epoch
-from fluxtwin.sim.telemetry.column_map import mapped_table
+from fluxtwin.sim.telemetry.column_map import mapped_table, recognised
 from fluxtwin.sim.telemetry.column_map_draft_header import headers_of
 from fluxtwin.sim.telemetry.columns import describe, file_columns
 from fluxtwin.sim.telemetry.formats.catalogue import format_of
-from fluxtwin.sim.telemetry.layouts import recognised
 from fluxtwin.sim.telemetry.record import Telemetry
 from fluxtwin.sim.telemetry.telemetry_files import Readable, Reading, as_path, is_path
 from fluxtwin.verbs import as_record, with_reading

@@ -327,7 +327,7 @@ def passes(scenario: Scenario | Path | str, stations: Path | str | None = None) 
 def with_stations(scenario: Scenario | Path | str, stations: Path | str | None) -> Scenario:
     """The scenario, with the stations of a file in place of its own. Raises BadInput where there are none."""
     from fluxtwin.scenarios.packaged import as_scenario
-    from fluxtwin.sim.run.scenario_stations import read_stations
+    from fluxtwin.sim.run.scenario_passes import read_stations
 
     plan = as_scenario(scenario)
     if stations is not None:

@@ -120,7 +120,7 @@ class Used(NamedTuple):
 
 def seconds_of(scenario: Scenario, vehicles: int, jobs: int) -> Used:
     """For so many vehicles. Nothing is remembered of flights before."""
-    scenario_dynamics.forget_flights()
+    scenario_dynamics._latest.clear()
     scenario_dynamics._around.clear()
     with tempfile.TemporaryDirectory() as folder:
         began, own, others = time.perf_counter(), time.process_time(), others_s()

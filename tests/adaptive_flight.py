@@ -85,7 +85,7 @@ class _Problem:
         if target.frame == "orbital":
             frame, rate_N = frames.rotation_ON(r[None], v[None]).as_matrix()[0], np.cross(r, v) / (r @ r)
         turn = Rotation.from_matrix(A @ (target.attitude.as_matrix() @ frame).T).inv().as_quat()
-        compass = np.array(self.vehicle.compass.row)
+        compass = np.array(self.vehicle.compass_row)
         field_T = compass[:9].reshape(3, 3) @ stage[layout.FIELD : layout.FIELD + 3] + compass[9:]
         reading[layout.SEEN_FIELD : layout.ERROR] = field_T
         reading[layout.ERROR : layout.RATE_ERROR] = 2.0 * turn[:3] * np.sign(turn[3])

@@ -20,7 +20,7 @@ from fluxtwin.sim.base.limits import text_of
 from fluxtwin.sim.base.seals import sealed_json, unsealed_json
 from fluxtwin.sim.earth.field_models import load_field
 from fluxtwin.sim.earth.tle import read_elements
-from fluxtwin.sim.run.scenario_stations import read_stations
+from fluxtwin.sim.run.scenario_passes import read_stations
 from fluxtwin.sim.run.simulate import simulate
 from fluxtwin.sim.scenario.scenario import load_scenario, parse_scenario, save_scenario
 from fluxtwin.sim.telemetry.formats.catalogue import format_of

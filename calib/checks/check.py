@@ -32,10 +32,16 @@ from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.earth.field import FieldModel
 from fluxtwin.sim.earth.tle import read_elements
 from fluxtwin.sim.telemetry.build import record
-from fluxtwin.sim.telemetry.column_map import ColumnMap, ColumnSpec, elements_path, load_column_map, mapped_table
+from fluxtwin.sim.telemetry.column_map import (
+    ColumnMap,
+    ColumnSpec,
+    elements_path,
+    load_column_map,
+    mapped_table,
+    recognised,
+)
 from fluxtwin.sim.telemetry.columns import FileTable
 from fluxtwin.sim.telemetry.formats.ccsds import is_message
-from fluxtwin.sim.telemetry.layouts import recognised
 from fluxtwin.sim.telemetry.quantities import BY_MAP_NAME
 from fluxtwin.sim.telemetry.record import Telemetry
 from fluxtwin.sim.telemetry.selection import Selection, selection

@@ -33,8 +33,7 @@ from fluxtwin.sim.earth import frames
 from fluxtwin.sim.earth.constants import NT_PER_MG
 from fluxtwin.sim.earth.field import FieldModel, field_N_nT
 from fluxtwin.sim.earth.stations import in_view
-from fluxtwin.sim.run.scenario_stations import stations_of
-from fluxtwin.sim.run.world import build_world
+from fluxtwin.sim.run.world import build_world, stations_of
 from fluxtwin.sim.scenario.scenario import Scenario
 from fluxtwin.sim.spacecraft.torquers import coupling_nT_per_Am2
 

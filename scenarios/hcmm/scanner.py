@@ -33,7 +33,7 @@ from fluxtwin.sim.base.progress import Progress
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import frames, horizon
 from fluxtwin.sim.earth.field import FieldModel
-from fluxtwin.sim.spacecraft.sensors.horizon_crossings import ConicalScanner
+from fluxtwin.sim.spacecraft.sensors.horizon_scanner import ConicalScanner
 from fluxtwin.sim.spacecraft.sensors.reference_attitude import attitude_from_sun_and_nadir
 from fluxtwin.sim.telemetry.record import Telemetry
 

@@ -21,8 +21,7 @@ from fluxtwin.sim.earth.constants import FIELD_RADIUS_KM, NT_PER_MG
 from fluxtwin.sim.earth.field import FieldModel, field_E_nT, field_N_nT, load_field
 from fluxtwin.sim.earth.stations import find_contacts
 from fluxtwin.sim.effects.ambient_field import dipole_axis_E
-from fluxtwin.sim.run.scenario_stations import stations_of
-from fluxtwin.sim.run.world import ephemeris, orbit_from
+from fluxtwin.sim.run.world import ephemeris, orbit_from, stations_of
 from fluxtwin.sim.scenario.scenario import Scenario
 
 DIPOLE_MG = mission.quantity("dipole equator")

@@ -120,7 +120,6 @@ class RecordedMotion:
 
     @cached_property
     def smoothed(self) -> AttitudeTrack:
-        """The track through the recorded attitudes."""
         known = np.flatnonzero(np.ones(self.time.size) if self.attitude_known is None else self.attitude_known)
         if not known.size:
             known = np.zeros(1, dtype=np.intp)

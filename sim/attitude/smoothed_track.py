@@ -28,7 +28,6 @@ RowArray = NDArray[np.intp]
 
 _HALVES = (1, 2, 3, 4, 6, 9, 13, 20, 30, 45, 70, 100, 150)  # rows to either side
 _DEGREES = ((1, 1), (3, 2), (5, 4))  # a polynomial of this degree needs so many rows to either side
-_LARGEST_TURN = 2.0  # rad: what is left of the turn to a neighbour, beyond which the short way is ambiguous
 _KEPT = np.array([0.0, 0.95])
 """Share of its error that an attitude hands on to the next: of white errors, and of slow ones. Errors in between do with
 either. Not 1, because steps alone do not tell that a level is off: of 90 motions (three laws, steps of 1 to 60 s, errors of
@@ -157,7 +156,6 @@ class AttitudeTrack:
 
     @property
     def degree(self) -> int:
-        """Of the polynomials."""
         return int(self.coefficients_rad.shape[1]) - 1
 
     def at(self, moments_s: FloatArray) -> Rotation:
@@ -465,18 +463,7 @@ def _moments(
     span = np.where(high > low, 0.5 * (time_s[high] - time_s[low]), 1.0)
     integrated = np.zeros((0, 4)) if course.integrated is None else course.integrated.as_quat()
     sums, moment, onward, before_rad = moments(
-        time_s,
-        R_BN.as_quat(),
-        course.rate_B_rad_s,
-        integrated,
-        centres,
-        low,
-        high,
-        mid,
-        span,
-        degree,
-        _LARGEST_TURN,
-        kept,
+        time_s, R_BN.as_quat(), (integrated, course.rate_B_rad_s), centres, (low, high, mid, span), degree, kept
     )
     order = np.arange(degree + 1)
     gram = sums[:, np.add.outer(order, order)]

@@ -6,11 +6,16 @@ rotations each would cost several times the arithmetic.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 from fluxtwin.sim.base.kernel_cache import kernel, part
 from fluxtwin.sim.base.types import FloatArray
+
+LARGEST_TURN_RAD = 2.0
+"""What is left of the turn to a neighbour, beyond which the short way is ambiguous."""
 
 
 @part(error_model="numpy")
@@ -49,25 +54,22 @@ def _as_rotvec(q: FloatArray, out: FloatArray) -> None:
 def moments(
     time_s: FloatArray,
     q_BN: FloatArray,
-    rate_B_rad_s: FloatArray,
-    integrated: FloatArray,
+    course: Any,
     centres: NDArray[np.intp],
-    low: NDArray[np.intp],
-    high: NDArray[np.intp],
-    mid_s: FloatArray,
-    span_s: FloatArray,
+    windows: Any,
     degree: int,
-    largest_turn_rad: float,
     kept: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Power sums (n, 2 degree + 1) and moments (n, degree + 1, 3) of the turns beside a course, about each centre (n,); the
     moments (n, K, degree + 1) of an error of one at the centre of which each later row keeps the share `kept` (K,) of the
     row before; and the turn (n, 3) of the row before the centre, NaN where the window has none.
 
-    q_BN (N, 4): attitudes at stamps time_s (N,). The course turns from one stamp to another as `integrated` (N, 4)
-    does, or, where that has no rows, at each centre's rate_B_rad_s (N, 3). low, high (n,): first and last row of each
-    window; z = (t - t_centre - mid) / span. Turns of `largest_turn_rad` and more are left out.
+    q_BN (N, 4): attitudes at stamps time_s (N,). course: `integrated` (N, 4) and rates (N, 3); it turns from one stamp to
+    another as `integrated` does, or, where that has no rows, at each centre's rate. windows: first and last row of each,
+    mid and span, (n,) each; z = (t - t_centre - mid) / span. Turns of `LARGEST_TURN_RAD` and more are left out.
     """
+    integrated, rate_B_rad_s = course
+    low, high, mid_s, span_s = windows
     sums = np.zeros((centres.size, 2 * degree + 1))
     moment = np.zeros((centres.size, degree + 1, 3))
     onward, before = np.zeros((centres.size, kept.size, degree + 1)), np.full((centres.size, 3), np.nan)
@@ -88,7 +90,7 @@ def moments(
             _times(course, q_BN[row], turn)
             _times(turn, back, turn)
             _as_rotvec(turn, rotvec)
-            if rotvec[0] ** 2 + rotvec[1] ** 2 + rotvec[2] ** 2 >= largest_turn_rad**2:
+            if rotvec[0] ** 2 + rotvec[1] ** 2 + rotvec[2] ** 2 >= LARGEST_TURN_RAD**2:
                 continue
             if row == centre - 1:
                 before[n] = rotvec

@@ -19,8 +19,6 @@ class FluxtwinError(Exception):
 class BadInput(FluxtwinError, ValueError):
     """Input that cannot be used: a missing file, column, unit, an unknown key, an impossible value."""
 
-    exit_status = 2
-
     def __init__(
         self, message: str, *, where: str | None = None, wanted: str | None = None, details: str | None = None
     ) -> None:

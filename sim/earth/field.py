@@ -60,9 +60,6 @@ def field_N_nT(
     """
     r, stamps = _checked(time, r_N_km)
     turn = frames.rotation_EN(stamps) if R_EN is None else R_EN
-    turns = 1 if turn.single else len(turn)
-    if turns not in (1, r.shape[0]):
-        raise BadInput(f"{turns} rotations for {r.shape[0]} positions", where="R_EN", wanted="one, or one each")
     return np.asarray(turn.inv().apply(field_E_nT(model, stamps, turn.apply(r))))
 
 
@@ -97,16 +94,15 @@ def design_matrix_E(degree: int, r_E_km: FloatArray) -> FloatArray:
 
     Column g of (n, m) is -a grad[(a/r)**(n + 1) P_n^m(sin latitude) cos(m longitude)] with Schmidt's P;
     column h is the same with the sine: the sum of `field_kernels`, coefficient by coefficient, in plain numpy.
-    K = degree (degree + 2), in the order of `field_models`. Raises as `field_E_nT` for positions, OutOfRange
-    for a degree below 1.
+    K = degree (degree + 2), in the order of `field_models`. Raises as `field_E_nT` for positions.
     """
-    if degree < 1:
-        raise OutOfRange(f"degree {degree}", where="design matrix", wanted="1 or more")
+    from fluxtwin.sim.earth.field_kernels import schmidt_factors
+
     r = _positions(r_E_km)
     design = np.empty((r.shape[0], 3, degree * (degree + 2)))
     harmonics = _harmonics(degree + 1, r)  # A + i B, [degree, order]
     for n in range(1, degree + 1):
-        factors = (2 * n + 1) * np.array(_schmidt_factors(n))
+        factors = (2 * n + 1) * schmidt_factors(n)
         above = harmonics[n + 1]
         for m, factor in enumerate(factors):
             column = n * n - 1 + max(2 * m - 1, 0)
@@ -139,17 +135,6 @@ def _harmonics(top: int, r_E_km: FloatArray) -> list[list[np.ndarray]]:
             row.append(w * rows[k - 1][m] - beta * q * before)
         rows.append([*row, sectoral[k]])
     return rows
-
-
-def _schmidt_factors(n: int) -> list[float]:
-    """Schmidt semi-normalised over Gauss-normalised functions of degree n, orders 0..n.
-
-    (2n - 1)!! / (n - m)! sqrt((2 - delta_m0) (n - m)! / (n + m)!), without large factorials.
-    """
-    factors = [float(np.prod([(2 * j - 1) / j for j in range(1, n + 1)]))]
-    for m in range(1, n + 1):
-        factors.append(factors[-1] * float(np.sqrt((n - m + 1) * (2 if m == 1 else 1) / (n + m))))
-    return factors
 
 
 def _terms(model: FieldModel, stamps: TimeArray) -> Iterator[tuple[_Rows, FloatArray, FloatArray]]:

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.types import FloatArray, TimeArray
 from fluxtwin.sim.earth import frames, sun
 from fluxtwin.sim.earth.constants import EARTH_FLATTENING, EARTH_RADIUS_KM
@@ -48,15 +47,12 @@ class Surface:
 def surface(name: str, time: TimeArray, radiance: float = 1.0) -> Surface:
     """What is seen, or taken, for the Earth at each of N stamps, by its name in SURFACES.
 
-    time: (N,) UTC. radiance: by how much the infrared surface differs from the ellipsoid, 1 as published. Raises
-    BadInput for another name.
+    time: (N,) UTC. radiance: by how much the infrared surface differs from the ellipsoid, 1 as published.
     """
     if name == "sphere":
         return Surface(MEAN_RADIUS_KM)
     if name == "ellipsoid":
         return Surface(EARTH_RADIUS_KM, EARTH_FLATTENING)
-    if name != "infrared":
-        raise BadInput(f"there is no horizon {name!r}", where="horizon", wanted=" or ".join(SURFACES))
     season = np.einsum("ij,ij->i", sun.sun_direction_N(time), north_N(time))
     more = INFRARED_FLATTENING + INFRARED_FLATTENING_BY_SEASON * season - EARTH_FLATTENING
     return Surface(

@@ -42,7 +42,12 @@ def triad(first: FloatArray, second: FloatArray) -> Rotation:
 
     The first direction is followed exactly (Black 1964). Rows in which the two are parallel are not to be asked for.
     """
+    return Rotation.from_matrix(triad_matrices(first, second))
+
+
+def triad_matrices(first: FloatArray, second: FloatArray) -> FloatArray:
+    """(N, 3, 3) as `triad`."""
     x = first / np.linalg.norm(first, axis=1, keepdims=True)
     y = np.cross(first, second)
     y = y / np.linalg.norm(y, axis=1, keepdims=True)
-    return Rotation.from_matrix(np.stack([x, y, np.cross(x, y)], axis=1))
+    return np.stack([x, y, np.cross(x, y)], axis=1)

@@ -32,13 +32,8 @@ class Station:
     altitude_km: float = 0.0
     mask_rad: float = 0.0
 
-    def __post_init__(self) -> None:
-        if not (abs(self.latitude_rad) <= 0.5 * np.pi and abs(self.mask_rad) < 0.5 * np.pi):
-            raise BadInput(f"{self}", where=f"station {self.name}", wanted="a latitude and a mask within 90 deg")
-
     @property
     def r_E_km(self) -> FloatArray:
-        """(3,) Earth-fixed position."""
         return np.asarray(frames.from_geodetic(*self._angles(), np.array([self.altitude_km]))[0])
 
     @property
@@ -70,7 +65,6 @@ class Contact:
 
     @property
     def seconds(self) -> float:
-        """Length [s]."""
         return float(epoch.seconds_since(self.set, self.rise)[0])
 
 

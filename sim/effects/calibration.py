@@ -76,6 +76,8 @@ class Step(SignalEffect):
     follows = "after_time"
     grid: ClassVar[int]
     """Moments that are tried, spread evenly over the rows."""
+    becomes: ClassVar[str]
+    """What it is once it has happened."""
     at: str | None = None
     """ISO 8601 UTC; None: the middle row."""
 
@@ -117,6 +119,11 @@ class Step(SignalEffect):
         after = self.after(setting)
         return None if 0.0 < after.mean() < 1.0 else "the moment lies outside the record"
 
+    @property
+    def bound(self) -> str:
+        moment = "once" if self.at is None else f"once, at {self.at}"
+        return f"it happened {moment}: later it is a constant {self.becomes}, and whether it happens again is not known"
+
     def pinned(self, setting: Setting, reading_B_nT: FloatArray) -> Self:
         middle = epoch.iso(setting.time[setting.time.size // 2], "ms")
         return self if self.at is not None else replace(self, at=middle)
@@ -134,14 +141,8 @@ class BiasStep(Step):
         "the bias is b of eq. 1; + lowers the reading from then on "
         "(additive jump: Willsky & Jones 1976, doi 10.1109/TAC.1976.1101146)"
     )
-    grid = 31
-
+    grid, becomes = 31, "part of b"
     parameters = vector_parameters("b", "nT", 100.0)
-
-    @property
-    def bound(self) -> str:
-        moment = "once" if self.at is None else f"once, at {self.at}"
-        return f"it happened {moment}: later it is a constant part of b, and whether it happens again is not known"
 
     def apply(self, signal: Signal, theta: FloatArray) -> Signal:
         shift = in_reading(signal.setting, theta)
@@ -151,14 +152,9 @@ class BiasStep(Step):
 class TurningStep(Step):
     """Base of the steps that turn something."""
 
-    grid = 7
+    grid, becomes = 7, "turn"
     # Mounting errors before alignment in flight: Wertz 1978, section 7.1.
     parameters = vector_parameters("turn", "deg", 0.5, -180.0, 180.0)
-
-    @property
-    def bound(self) -> str:
-        moment = "once" if self.at is None else f"once, at {self.at}"
-        return f"it happened {moment}: later it is a constant turn, and whether it happens again is not known"
 
     def turns_rad(self, setting: Setting, theta: FloatArray) -> FloatArray:
         """(N, 3) rotation vectors, body axes."""

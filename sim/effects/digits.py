@@ -92,7 +92,6 @@ class BitErrors(DistributionEffect):
     parameters = (Parameter("rate", "1", 0.01, 0.0, 1.0),)
 
     def step_nT(self, signal: Signal) -> float:
-        """The step of the code."""
         return self.lsb_nT or signal.setting.instrument.lsb_nT or _DEFAULT_LSB_NT
 
     def draw(self, signal: Signal, theta: FloatArray, rng: np.random.Generator) -> Signal:

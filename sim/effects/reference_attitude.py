@@ -47,7 +47,6 @@ class SunSensorHeadMisalignment(SignalEffect):
     parameters = vector_parameters("turn", "deg", 0.2, -20.0, 20.0)
 
     def alternatives(self, setting: Setting) -> tuple[Effect, ...]:
-        """Each head in use."""
         return tuple(SunSensorHeadMisalignment(head) for head in _heads(setting)) or (self,)
 
     def untestable(self, setting: Setting) -> str | None:

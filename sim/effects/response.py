@@ -174,7 +174,6 @@ class SensorLag(SignalEffect):
     parameters = (Parameter("lag", "s", 0.5, 0.0, 600.0),)
 
     def alternatives(self, setting: Setting) -> tuple[SensorLag, ...]:
-        """All axes, and each alone."""
         return (self, *map(SensorLag, get_args(Literal["x", "y", "z"]))) if self == SensorLag() else (self,)
 
     def apply(self, signal: Signal, theta: FloatArray) -> Signal:

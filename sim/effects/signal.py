@@ -169,7 +169,6 @@ class Setting:
         return {}
 
     def column(self, name: str) -> FloatArray | None:
-        """A recorded column, or None."""
         return self.columns.get(name)
 
 
@@ -330,7 +329,6 @@ class Signal:
         return np.zeros((self.rows, 3)) if field_B_nT is None else field_B_nT
 
     def with_reading(self, reading_B_nT: FloatArray) -> Signal:
-        """Another reading."""
         return self._changed(reading_B_nT=reading_B_nT, _of_reading={})
 
     def products(self, degree: int, make: Callable[[FloatArray, int], FloatArray]) -> FloatArray:

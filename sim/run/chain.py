@@ -36,12 +36,11 @@ from fluxtwin.sim.telemetry.quantities import DRIVERS
 from fluxtwin.sim.telemetry.record import Telemetry
 
 
-def torquer_dipole_B_Am2(scenario: Scenario, world: World, attitude: Attitude) -> FloatArray:
+def torquer_dipole_B_Am2(scenario: Scenario, time: TimeArray) -> FloatArray:
     """(N, 3) what the torquers do."""
     if scenario.attitude.mode == "dynamics":
-        return flights(scenario).dipole_B_Am2(world.time)
-    field_B_nT = attitude.R_BN.apply(world.field_N_nT)
-    return spacecraft.torquer_schedule(scenario).dipole_B_Am2(world.time, field_B_nT)
+        return flights(scenario).dipole_B_Am2(time)
+    return spacecraft.torquer_schedule(scenario).dipole_B_Am2(time)
 
 
 def fly_magnetometer(

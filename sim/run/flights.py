@@ -18,7 +18,7 @@ from fluxtwin.sim.base.types import FloatArray, TimeArray
 from fluxtwin.sim.earth import epoch, frames
 from fluxtwin.sim.earth.field import load_field
 from fluxtwin.sim.effects.base import DynamicsEffect
-from fluxtwin.sim.run.spacecraft import torquer_schedule
+from fluxtwin.sim.run.spacecraft import magnetometer, torquer_schedule
 from fluxtwin.sim.run.world import ephemeris
 from fluxtwin.sim.scenario.dynamics_sections import ControlSection, DynamicsSection
 from fluxtwin.sim.scenario.effect_sections import active_effects
@@ -26,7 +26,7 @@ from fluxtwin.sim.scenario.scenario import Scenario
 from fluxtwin.sim.scenario.sections import SegmentSection
 from fluxtwin.sim.spacecraft.dynamics.environment import Environment, environment_along
 from fluxtwin.sim.spacecraft.dynamics.flight import Flight, Start, fly
-from fluxtwin.sim.spacecraft.dynamics.vehicle import Compass, Target, Vehicle, Wheel
+from fluxtwin.sim.spacecraft.dynamics.vehicle import PERFECT, Target, Vehicle, Wheel
 from fluxtwin.sim.spacecraft.torques import Torque, Torquers
 from fluxtwin.sim.spacecraft.wheels import RPM_PER_RAD_S
 
@@ -35,8 +35,6 @@ _MOST_SPACING_S = 120.0
 _BEYOND_S = 120.0
 """Flown after the last sample of a segment, for readings that are taken late."""
 _KEPT_NODES = 500_000
-_KEPT_BYTES = 128e6
-"""Of flights that are kept, the one in use apart."""
 _MOST_ROWS = 5_000_000
 
 
@@ -47,12 +45,6 @@ class Flights:
     flights: tuple[Flight, ...]
     since: TimeArray
     """From when on each holds, the first apart."""
-
-    @property
-    def bytes(self) -> int:
-        """What they take in memory."""
-        each = ("q_NB", "rate_B_rad_s", "dipole_B_Am2", "wheel_speed_rad_s", "field_B_nT")
-        return sum(getattr(flight, name).nbytes for flight in self.flights for name in each)
 
     def attitude(self, time: TimeArray) -> Attitude:
         """Attitude at each stamp, from the flight of the segment that it belongs to."""
@@ -65,11 +57,9 @@ class Flights:
         return Attitude(frames.rotation_from_q(q), rate)
 
     def dipole_B_Am2(self, time: TimeArray) -> FloatArray:
-        """(N, 3) dipole of the torquers at each stamp."""
         return self._each(time, "dipole", 3)
 
     def wheel_speed_rpm(self, time: TimeArray) -> FloatArray:
-        """(N, W) wheel speeds at each stamp."""
         return RPM_PER_RAD_S * self._each(time, "wheel_speed", self.flights[0].wheel_speed_rad_s.shape[1])
 
     def _each(self, time: TimeArray, what: str, columns: int) -> FloatArray:
@@ -84,15 +74,14 @@ class Flights:
         return np.clip(np.searchsorted(self.since, stamps, side="right") - 1, 0, None)
 
 
-_made: OrderedDict[str, Flights] = OrderedDict()
-_latest: list[tuple[Scenario, Flights]] = []
-"""What was asked for last: to write down a scenario takes half a millisecond."""
+_latest: list[tuple[Scenario, str, Flights]] = []
+"""What was asked for last; the scenario itself is looked for first: to write it down takes half a millisecond."""
 
 
 def flights(scenario: Scenario) -> Flights:
     """The flights of this scenario and seed; the last ones are kept, because several parts of a run ask for them."""
     if _latest and _latest[0][0] is scenario:
-        return _latest[0][1]
+        return _latest[0][2]
     assert scenario.schedule is not None
     field, wheels = scenario.field, scenario.wheels
     moving = (
@@ -111,21 +100,15 @@ def flights(scenario: Scenario) -> Flights:
         _moving_effects(scenario),
     )
     key = repr(moving)
-    if key not in _made:
+    if _latest and _latest[0][1] == key:
+        made = _latest[0][2]
+    else:
+        _latest.clear()  # the next ones can take the same memory
         segments = scenario.schedule.segments
-        made = tuple(_flight(scenario, k, segment) for k, segment in enumerate(segments))
-        _made[key] = Flights(made, _boundaries(made, segments))
-        while len(_made) > 1 and sum(one.bytes for one in _made.values()) > _KEPT_BYTES:
-            _made.popitem(last=False)
-    _made.move_to_end(key)
-    _latest[:] = [(scenario, _made[key])]
-    return _made[key]
-
-
-def forget_flights() -> None:
-    """Let go of those that are kept: the next scenarios are others, and their flights can take the same memory."""
-    _made.clear()
-    _latest.clear()
+        parts = tuple(_flight(scenario, k, segment) for k, segment in enumerate(segments))
+        made = Flights(parts, _boundaries(parts, segments))
+    _latest[:] = [(scenario, key, made)]
+    return made
 
 
 def _actuators(scenario: Scenario) -> tuple[object, ...]:
@@ -162,7 +145,7 @@ def vehicle_of(scenario: Scenario) -> Vehicle:
         torques=tuple(torques),
         control=_control(scenario).law,
         target=target_of(scenario),
-        compass=_compass(scenario),
+        compass=PERFECT if _control(scenario).magnetometer == "perfect" else magnetometer(scenario),
     )
     for effect, theta in _moving_effects(scenario):
         vehicle = effect.on(vehicle, theta)
@@ -190,12 +173,6 @@ def _wheels(scenario: Scenario) -> tuple[Wheel, ...]:
     )
 
 
-def _compass(scenario: Scenario) -> Compass:
-    if _control(scenario).magnetometer == "perfect":
-        return Compass()
-    return Compass(np.array(scenario.magnetometer.S), np.array(scenario.magnetometer.bias_nT))
-
-
 def target_of(scenario: Scenario) -> Target:
     """What the law of a scenario steers to."""
     section = _control(scenario)
@@ -207,7 +184,6 @@ def target_of(scenario: Scenario) -> Target:
 
 
 def _from_O(yaw_deg: float, roll_deg: float, pitch_deg: float) -> Rotation:
-    """From O to B."""
     return frames.rotation_BO(*np.radians([[yaw_deg], [roll_deg], [pitch_deg]]))[0]
 
 

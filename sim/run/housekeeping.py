@@ -20,7 +20,7 @@ from fluxtwin.sim.run.true_attitude import true_attitude
 from fluxtwin.sim.run.world import World, ephemeris, world_along
 from fluxtwin.sim.scenario.scenario import Scenario
 from fluxtwin.sim.scenario.sections import DriverSection
-from fluxtwin.sim.spacecraft import power, thermal, wheels
+from fluxtwin.sim.spacecraft import power, wheels
 from fluxtwin.sim.spacecraft.torquers import draw_random_duty
 from fluxtwin.sim.telemetry.csv_files import open_csv
 from fluxtwin.sim.telemetry.quantities import DRIVERS
@@ -113,7 +113,8 @@ def _segment(scenario: Scenario, world: World, inside: np.ndarray) -> dict[str, 
     if scenario.power is not None:
         columns |= _power(scenario, fine)
     if scenario.thermal is not None:
-        columns |= _thermal(scenario, fine)
+        columns["temperature_degC"], heater = scenario.thermal.history(fine.time, fine.illumination)
+        columns |= {} if scenario.thermal.heater_on_below_degC is None else {"heater_on": heater}
     return {name: column[picked] for name, column in columns.items()}
 
 
@@ -128,22 +129,6 @@ def _power(scenario: Scenario, world: World) -> dict[str, FloatArray]:
     load = section.load_A + section.switched_load_A * (slot % 2.0)
     current, _ = power.battery_history(world.time, array, load, battery)
     return {"array_current_A": array, "battery_current_A": current}
-
-
-def _thermal(scenario: Scenario, world: World) -> dict[str, FloatArray]:
-    section = scenario.thermal
-    assert section is not None
-    thermostat = None
-    if section.heater_on_below_degC is not None and section.heater_off_above_degC is not None:
-        thermostat = thermal.Thermostat(
-            section.heater_on_below_degC, section.heater_off_above_degC, section.heater_rise_degC
-        )
-    goal = thermal.equilibrium_degC(world.illumination, section.sunlit_degC, section.eclipse_degC)
-    temperature, heater = thermal.temperature_history(
-        world.time, goal, 60.0 * section.time_constant_min, thermostat=thermostat
-    )
-    columns = {"temperature_degC": temperature}
-    return columns if thermostat is None else columns | {"heater_on": heater}
 
 
 def _wheel_speeds(scenario: Scenario, world: World) -> FloatArray | None:

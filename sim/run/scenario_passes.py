@@ -1,17 +1,35 @@
-"""The station passes of a scenario, over the time of its schedule."""
+"""Ground stations of a file, and the passes of a scenario over its stations, over the time of its schedule."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic import Field
 
 from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.section_types import Section
+from fluxtwin.sim.base.toml_input import read_tree, validate
 from fluxtwin.sim.earth import epoch, sun
 from fluxtwin.sim.earth.stations import find_contacts
-from fluxtwin.sim.run.scenario_stations import stations_of
-from fluxtwin.sim.run.world import ephemeris, schedule_times
+from fluxtwin.sim.run.world import ephemeris, schedule_times, stations_of
 from fluxtwin.sim.scenario.scenario import Scenario
+from fluxtwin.sim.scenario.sections import StationSection
+
+
+class _StationsFile(Section):
+    """A file of nothing but [station.NAME] sections."""
+
+    station: dict[str, StationSection] = Field(min_length=1)
+
+
+def read_stations(path: Path | str) -> dict[str, dict[str, Any]]:
+    """The [station.NAME] sections of a file, checked, as a scenario takes them.
+
+    Raises BadInput: no such file, not TOML, no station, an unknown key, an impossible value.
+    """
+    return validate(read_tree(path), _StationsFile, where=str(path)).model_dump()["station"]  # type: ignore[no-any-return]
 
 
 def list_passes(scenario: Scenario) -> list[dict[str, Any]]:

@@ -1,17 +1,30 @@
-"""From a scenario to telemetry and truth: orbit, field, attitude, spacecraft, sensors, in that order."""
+"""From a scenario to telemetry and truth: orbit, field, attitude, spacecraft, sensors, in that order; or, along a recorded
+file, the magnetometers alone."""
 
 from __future__ import annotations
 
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from fluxtwin.sim.attitude.gauss_markov import gauss_markov
+from fluxtwin.sim.attitude.record import Attitude
+from fluxtwin.sim.attitude.recorded_motion import RecordedMotion
+from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.progress import Progress, silent
-from fluxtwin.sim.run import chain, replay
+from fluxtwin.sim.base.random_streams import stream
+from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.earth import epoch, frames
+from fluxtwin.sim.run import chain
 from fluxtwin.sim.run.housekeeping import run_housekeeping
 from fluxtwin.sim.run.slit_pulses import with_pulses
 from fluxtwin.sim.run.true_attitude import ScenarioMotion, true_attitude
 from fluxtwin.sim.run.truth import Truth
-from fluxtwin.sim.run.world import World, build_world
+from fluxtwin.sim.run.world import World, build_world, world_along
 from fluxtwin.sim.scenario.sampling import interleaved, sampled_rows
 from fluxtwin.sim.scenario.scenario import Scenario
-from fluxtwin.sim.telemetry.record import Telemetry
+from fluxtwin.sim.telemetry.build import velocity_from_positions
+from fluxtwin.sim.telemetry.record import Telemetry, recorded_columns
+from fluxtwin.sim.telemetry.telemetry_files import read_telemetry
 
 
 def simulate(scenario: Scenario, *, world: World | None = None, progress: Progress = silent) -> tuple[Telemetry, Truth]:
@@ -23,7 +36,7 @@ def simulate(scenario: Scenario, *, world: World | None = None, progress: Progre
     Raises BadInput for a scenario that cannot be run and OutOfRange for epochs outside the field model.
     """
     if scenario.replay is not None:
-        return replay.simulate_replay(scenario, progress)
+        return _replayed(scenario, progress)
     progress("orbit, sun and field", 0.0)
     world = build_world(scenario) if world is None else world
     progress("attitude", 0.4)
@@ -34,7 +47,7 @@ def simulate(scenario: Scenario, *, world: World | None = None, progress: Progre
     progress("sensors", 0.8)
     columns |= chain.fly_sensors(scenario, world, attitude)
     q_NB = columns.pop("q_NB")
-    columns["dipole_B_Am2"] = chain.torquer_dipole_B_Am2(scenario, world, attitude)
+    columns["dipole_B_Am2"] = chain.torquer_dipole_B_Am2(scenario, world.time)
     signal = chain.fly_magnetometer(scenario, world, motion, columns)
     progress("done", 1.0)
     telemetry = _as_read(scenario, world, chain.to_telemetry(scenario, signal, columns, q_NB))
@@ -48,3 +61,75 @@ def _as_read(scenario: Scenario, world: World, telemetry: Telemetry) -> Telemetr
         return telemetry
     rows = sampled_rows(scenario.sampling, scenario.schedule, world.time, world.segment)
     return interleaved(telemetry, rows, attitude_from_sensors=scenario.attitude.reference.source == "sensors")
+
+
+def _replayed(scenario: Scenario, progress: Progress) -> tuple[Telemetry, Truth]:
+    """Run a scenario with [replay]: the recorded readings are replaced, everything else stays as recorded.
+
+    Those of a second magnetometer are left out where the scenario has none: they belong to another field.
+    The recorded attitude stays the reported one; the true one is that less an error drawn from
+    [attitude.reference]. Likewise the effects of the scenario change what was true, not what was recorded: the truth
+    gives orbit and attitude without those on orbit and attitude. Rows without position, velocity or attitude are left out; a
+    velocity that was not recorded is that of the positions. Raises BadInput when the file has no position or no attitude.
+    """
+    assert scenario.replay is not None
+    progress("reading the recorded file", 0.0)
+    path = scenario.path_of(scenario.replay.telemetry)
+    column_map = scenario.replay.column_map
+    recorded = read_telemetry(path, column_map=None if column_map is None else scenario.path_of(column_map))
+    missing = [name for name in ("r_N_km", "q_NB") if getattr(recorded, name) is None]
+    if missing:
+        raise BadInput(
+            f"the recorded file lacks {', '.join(missing)}",
+            where=str(path),
+            wanted="position and attitude columns to replay",
+        )
+    assert recorded.r_N_km is not None
+    if recorded.v_N_km_s is None:
+        recorded = recorded.replace(v_N_km_s=velocity_from_positions(recorded.time, np.asarray(recorded.r_N_km)))
+    assert recorded.v_N_km_s is not None and recorded.q_NB is not None
+    whole = recorded.has_position & recorded.has_attitude & np.isfinite(recorded.v_N_km_s).all(axis=1)
+    if not whole.any():
+        raise BadInput("no row has position, velocity and attitude", where=str(path))
+    recorded = recorded.select(whole)
+    progress("field and sensors", 0.3)
+    segment = np.zeros(len(recorded))
+    # copies: a record is read-only, and scipy turns only vectors it could write to
+    r_N_km, v_N_km_s = np.array(recorded.r_N_km), np.array(recorded.v_N_km_s)
+    world = world_along(scenario, recorded.time, segment, r_N_km, v_N_km_s)
+    attitude = _true_motion(scenario, recorded)
+    motion = RecordedMotion(recorded.time, world.r_N_km, world.v_N_km_s, attitude.R_BN, recorded.rate_B_rad_s)
+    columns = recorded_columns(recorded)
+    if recorded.dipole_B_Am2 is None:
+        columns["dipole_B_Am2"] = chain.torquer_dipole_B_Am2(scenario, world.time)
+    signal = chain.fly_magnetometer(scenario, world, motion, columns, direction="predict")
+    provenance = {"source": "simulation along a recorded file", "spacecraft": scenario.spacecraft.name}
+    second_B_nT = chain.second_reading_B_nT(scenario, signal)
+    telemetry = recorded.replace(mag_B_nT=signal.reading_B_nT, mag2_B_nT=second_B_nT, provenance=provenance)
+    progress("done", 1.0)
+    return telemetry, chain.to_truth(scenario, world, attitude, signal)
+
+
+def _true_motion(scenario: Scenario, recorded: Telemetry) -> Attitude:
+    reference = scenario.attitude.reference
+    theta = gauss_markov(
+        recorded.time,
+        float(np.radians(reference.sigma_deg)),
+        reference.tau_s,
+        stream(scenario.seed, "attitude.reference"),
+        columns=3,
+    )
+    assert recorded.q_NB is not None
+    error = Rotation.from_rotvec(-theta)
+    R_BN = error * frames.rotation_from_q(recorded.q_NB)
+    rate = recorded.rate_B_rad_s
+    return Attitude(R_BN, _differenced_rate(recorded.time, R_BN) if rate is None else rate)
+
+
+def _differenced_rate(time: np.ndarray, R_BN: Rotation) -> FloatArray:
+    """Body rate from attitude differences, carried to the later row; good where rows are close together."""
+    if len(R_BN) < 2:
+        return np.zeros((len(R_BN), 3))
+    seconds = epoch.seconds_since(time, time[0])
+    turn = -(R_BN[1:] * R_BN[:-1].inv()).as_rotvec() / np.diff(seconds)[:, None]
+    return np.concatenate([turn[:1], turn])

@@ -9,7 +9,7 @@ from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.scenario.scenario import Scenario
 from fluxtwin.sim.scenario.sections import MagnetometerSection, SecondMagnetometerSection
 from fluxtwin.sim.spacecraft.sensors.magnetometer import Magnetometer
-from fluxtwin.sim.spacecraft.torquers import ConstantDipole, TorquerSchedule, coupling_nT_per_Am2, draw_random_duty
+from fluxtwin.sim.spacecraft.torquers import RandomDuty, coupling_nT_per_Am2, draw_random_duty
 
 
 def magnetometer(scenario: Scenario, name: str = "magnetometer") -> Magnetometer:
@@ -41,11 +41,11 @@ def torquer_correction(scenario: Scenario, section: MagnetometerSection | None =
     return (scenario.torquers.compensation - 1.0) * coupling_nT_per_Am2(positions_B_m)
 
 
-def torquer_schedule(scenario: Scenario) -> TorquerSchedule:
-    """What the torquers do in this scenario with this seed."""
-    section = scenario.torquers
+def torquer_schedule(scenario: Scenario) -> RandomDuty:
+    """What the torquers do in this scenario with this seed: at random, always or never."""
+    section, rng = scenario.torquers, stream(scenario.seed, "torquers.schedule")
     if section is None or section.activity == "off":
-        return ConstantDipole()
+        return draw_random_duty(0.0, 0.0, 1.0, rng)
     if section.activity == "constant":
-        return ConstantDipole((section.Am2, section.Am2, section.Am2))
-    return draw_random_duty(section.Am2, section.duty, section.dwell_s, stream(scenario.seed, "torquers.schedule"))
+        return draw_random_duty(section.Am2, 1.0, section.dwell_s, rng, both_signs=False)
+    return draw_random_duty(section.Am2, section.duty, section.dwell_s, rng)

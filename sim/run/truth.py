@@ -50,7 +50,6 @@ class Truth:
     """The scenario's effects as JSON: names, settings and parameters with their units."""
 
     def write(self, path: Path | str) -> Path:
-        """Write everything to NetCDF (atomic, checksummed)."""
         stamps = {"units": "nanoseconds since 1970-01-01", "calendar": "proleptic_gregorian"}
         columns = {
             "time": Variable(("time",), self.time.astype("int64"), stamps, storage=_PACKING),

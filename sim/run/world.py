@@ -1,4 +1,4 @@
-"""The world a spacecraft flies through: times, orbit, sun, shadow and the field that acts.
+"""The world a spacecraft flies through: times, orbit, stations, sun, shadow and the field that acts.
 
 It holds nothing random and nothing of the spacecraft, so one world serves any number of runs.
 """
@@ -11,11 +11,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from fluxtwin.sim.base.errors import BadInput
-from fluxtwin.sim.base.types import FloatArray, TimeArray
+from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
 from fluxtwin.sim.earth import epoch, frames, sun, tle
 from fluxtwin.sim.earth.field import field_N_nT, load_field
 from fluxtwin.sim.earth.orbit import Orbit
-from fluxtwin.sim.run.scenario_stations import seen_from_stations
+from fluxtwin.sim.earth.stations import Station, in_view
 from fluxtwin.sim.scenario.scenario import Scenario
 from fluxtwin.sim.scenario.sections import OrbitSection
 
@@ -76,6 +76,40 @@ def world_along(
         illumination=sun.illumination(r_N_km, sun_N_km),
         field_N_nT=field_nT,
     )
+
+
+def stations_of(scenario: Scenario) -> list[Station]:
+    """The stations in the order of the scenario."""
+    return [
+        Station(
+            name,
+            float(np.radians(entry.latitude_deg)),
+            float(np.radians(entry.longitude_deg)),
+            entry.altitude_km,
+            float(np.radians(entry.mask_deg)),
+        )
+        for name, entry in scenario.station.items()
+    ]
+
+
+def seen_from_stations(
+    scenario: Scenario, time: TimeArray, segment: FloatArray, r_N_km: FloatArray
+) -> tuple[BoolArray, FloatArray]:
+    """(N,) True in the rows that some station sees, and for those rows the number of the stretch in view, from 0.
+
+    Raises BadInput where no row is seen.
+    """
+    r_E_km = frames.rotation_EN(time).apply(r_N_km)
+    seen: BoolArray = np.asarray((in_view(stations_of(scenario), r_E_km) > 0).any(axis=1))
+    if not seen.any():
+        raise BadInput(
+            "no sample is in view of any station",
+            where="schedule.in_view_of_stations",
+            wanted="a longer schedule, a lower mask_deg, or other stations",
+        )
+    fresh = np.concatenate([[True], ~seen[:-1] | (np.diff(segment) != 0)])
+    stretch = np.cumsum(fresh & seen) - 1.0
+    return seen, np.asarray(stretch[seen])
 
 
 def schedule_times(scenario: Scenario) -> tuple[TimeArray, FloatArray]:

@@ -71,12 +71,10 @@ class DrawSection(Section):
 
     @property
     def kind(self) -> str:
-        """The name of the distribution."""
         return next(kind for kind in KINDS if getattr(self, kind) is not None)
 
     @property
     def given(self) -> Any:
-        """What the distribution was given."""
         return getattr(self, self.kind)
 
 

@@ -60,7 +60,6 @@ class ControlBase(Section):
 
     @property
     def law(self) -> Control | None:
-        """The law that is given, if any."""
         for kind in CONTROLS:
             law: Control | None = getattr(self, kind.name)
             if law is not None:
@@ -80,7 +79,6 @@ class TorquesBase(Section):
 
     @property
     def acting(self) -> tuple[Torque, ...]:
-        """The torques that are given."""
         given = (getattr(self, kind.name) for kind in TORQUES if kind.name != "torquers")
         return tuple(torque for torque in given if torque is not None)
 

@@ -33,7 +33,6 @@ class SamplingBase(Section):
 
     @property
     def rates(self) -> dict[str, RateSection]:
-        """Those that are given, by name."""
         given = {name: getattr(self, name) for name in type(self).model_fields}
         return {name: rate for name, rate in given.items() if rate is not None}
 

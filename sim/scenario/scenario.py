@@ -19,6 +19,7 @@ from fluxtwin.sim.scenario.effect_sections import EffectsSection
 from fluxtwin.sim.scenario.sampling import SamplingSection
 from fluxtwin.sim.spacecraft.sensors.catalogue import SensorSections
 from fluxtwin.sim.spacecraft.sensors.slit_sun_sensor import SlitSunSensor
+from fluxtwin.sim.spacecraft.thermal import ThermalSection
 from fluxtwin.sim.telemetry.quantities import DRIVERS
 
 
@@ -41,7 +42,7 @@ class Scenario(SensorSections):
     slit_sun_sensor: SlitSunSensor | None = None
     torquers: sections.TorquersSection | None = None
     power: sections.PowerSection | None = None
-    thermal: sections.ThermalSection | None = None
+    thermal: ThermalSection | None = None
     wheels: sections.WheelsSection | None = None
     drivers: dict[str, sections.DriverSection] = {}
     dynamics: DynamicsSection | None = None

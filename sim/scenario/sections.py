@@ -25,7 +25,7 @@ from fluxtwin.sim.base.section_types import (
     as_tuple,
     one_of,
 )
-from fluxtwin.sim.earth.constants import AM2_PER_POLE_CM, NT_PER_MG
+from fluxtwin.sim.earth.constants import AM2_PER_POLE_CM, EARTH_RADIUS_KM, NT_PER_MG
 from fluxtwin.sim.earth.epoch import iso, parse_time
 
 _DATE_AND_TIME = re.compile(r"\d{4}-\d\d-\d\d(T\d\d:\d\d(:\d\d(\.\d+)?)?)?")
@@ -72,7 +72,7 @@ class OrbitSection(Section):
         if self.tle is not None and len(missing) < len(names):
             raise ValueError("give either tle or elements, not both")
         if self.altitude_km is not None:
-            perigee = (self.altitude_km + 6378.137) * (1 - self.eccentricity) - 6378.137
+            perigee = (self.altitude_km + EARTH_RADIUS_KM) * (1 - self.eccentricity) - EARTH_RADIUS_KM
             if perigee < 80:
                 raise ValueError(f"the perigee is at {perigee:.0f} km altitude; at least 80 km is wanted")
         return self
@@ -270,23 +270,6 @@ class PowerSection(Section):
     battery_capacity_Ah: Positive = 20.0
     charge_efficiency: Annotated[float, Field(gt=0, le=1)] = 0.9
     taper_above: Annotated[float, Field(gt=0, lt=1)] = 0.9
-
-
-class ThermalSection(Section):
-    """A first-order lag between two equilibria, sunlit and eclipse, with an optional thermostat."""
-
-    sunlit_degC: float
-    eclipse_degC: float
-    time_constant_min: Positive
-    heater_on_below_degC: float | None = None
-    heater_off_above_degC: float | None = None
-    heater_rise_degC: NonNegative = 0.0
-
-    @model_validator(mode="after")
-    def _thermostat(self) -> Self:
-        if (self.heater_on_below_degC is None) != (self.heater_off_above_degC is None):
-            raise ValueError("a heater needs both heater_on_below_degC and heater_off_above_degC")
-        return self
 
 
 class WheelsSection(Section):

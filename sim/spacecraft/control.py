@@ -20,6 +20,7 @@ from fluxtwin.sim.spacecraft.dynamics.layout import (
     SEEN_RATE,
     TICK,
     WHEEL_MOMENTUM,
+    symmetric,
 )
 
 MAX_INTEGRAL_RAD = 0.05
@@ -69,7 +70,6 @@ class BDot(Control):
             memory[axis] = field
 
     def packed(self, inertia_kg_m2: FloatArray) -> list[float]:
-        """The gain [A m2 s/T]."""
         return [self.gain_Am2_s_per_T]
 
 
@@ -190,16 +190,12 @@ class ThreeAxis(Control):
         ay = -p * (reading[e + 1] + memory[1]) - d * reading[r + 1]
         az = -p * (reading[e + 2] + memory[2]) - d * reading[r + 2]
         wx, wy, wz = reading[w], reading[w + 1], reading[w + 2]
-        hx = packed[at] * wx + packed[at + 3] * wy + packed[at + 4] * wz + reading[h]
-        hy = packed[at + 3] * wx + packed[at + 1] * wy + packed[at + 5] * wz + reading[h + 1]
-        hz = packed[at + 4] * wx + packed[at + 5] * wy + packed[at + 2] * wz + reading[h + 2]
-        command[COMMAND_TORQUE] += packed[at] * ax + packed[at + 3] * ay + packed[at + 4] * az + wy * hz - wz * hy
-        command[COMMAND_TORQUE + 1] += (
-            packed[at + 3] * ax + packed[at + 1] * ay + packed[at + 5] * az + wz * hx - wx * hz
-        )
-        command[COMMAND_TORQUE + 2] += (
-            packed[at + 4] * ax + packed[at + 5] * ay + packed[at + 2] * az + wx * hy - wy * hx
-        )
+        tx, ty, tz = symmetric(packed, at, ax, ay, az)
+        hx, hy, hz = symmetric(packed, at, wx, wy, wz)
+        hx, hy, hz = hx + reading[h], hy + reading[h + 1], hz + reading[h + 2]
+        command[COMMAND_TORQUE] += tx + wy * hz - wz * hy
+        command[COMMAND_TORQUE + 1] += ty + wz * hx - wx * hz
+        command[COMMAND_TORQUE + 2] += tz + wx * hy - wy * hx
         bx, by, bz = reading[b], reading[b + 1], reading[b + 2]
         squared = bx * bx + by * by + bz * bz
         if squared > 0.0:

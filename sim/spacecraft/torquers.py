@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
@@ -13,24 +12,6 @@ from fluxtwin.sim.earth import epoch as clock
 from fluxtwin.sim.earth.constants import MU0_OVER_4PI_NT_M3_PER_AM2
 
 Dipole = tuple[float, float, float]
-
-
-class TorquerSchedule(Protocol):
-    """Anything that tells the commanded dipole."""
-
-    def dipole_B_Am2(self, time: TimeArray, field_B_nT: FloatArray | None = None) -> FloatArray:
-        """(N, 3) dipole at each stamp; field_B_nT (N, 3) is for schedules that react to the field."""
-
-
-@dataclass(frozen=True)
-class ConstantDipole:
-    """The same dipole always; zero is a torquer that is off."""
-
-    dipole_Am2: Dipole = (0.0, 0.0, 0.0)
-
-    def dipole_B_Am2(self, time: TimeArray, field_B_nT: FloatArray | None = None) -> FloatArray:
-        """(N, 3) dipole at each stamp."""
-        return np.tile(np.asarray(self.dipole_Am2, dtype=np.float64), (clock.as_times(time).size, 1))
 
 
 @dataclass(frozen=True)
@@ -51,7 +32,7 @@ class RandomDuty:
     """When the slots of each axis begin, from 2000 on."""
     both_signs: bool = True
 
-    def dipole_B_Am2(self, time: TimeArray, field_B_nT: FloatArray | None = None) -> FloatArray:
+    def dipole_B_Am2(self, time: TimeArray) -> FloatArray:
         """(N, 3) dipole at each stamp, the same whatever other stamps are asked for."""
         seconds = clock.seconds_since(time, clock.MJD2000)
         dipole = np.zeros((seconds.size, 3))

@@ -18,11 +18,13 @@ from fluxtwin.sim.spacecraft.dynamics.layout import (
     FIELD,
     POSITION,
     RATE,
-    ROTATION,
     SUN,
     SUNLIGHT,
     TORQUE,
     VELOCITY,
+    add_cross,
+    symmetric,
+    to_body,
 )
 
 GM_M3_S2 = GM_EARTH_KM3_S2 * 1e9
@@ -46,7 +48,7 @@ class Torque(Section):
     def add(packed: FloatArray, at: int, stage: FloatArray) -> None:
         """Add the torque to stage[TORQUE ...], with the parameters at packed[at ...].
 
-        It is compiled, so it uses numbers, `math` and the indices of `dynamics.layout` alone. Uncompiled it runs as
+        It is compiled, so it uses numbers, `math`, `dynamics.layout` and functions like itself alone. Uncompiled it runs as
         well: that is what the reference path and the tests do.
         """
         raise NotImplementedError
@@ -77,12 +79,8 @@ class GravityGradient(Torque):
         x, y, z = stage[POSITION], stage[POSITION + 1], stage[POSITION + 2]
         squared = x * x + y * y + z * z
         size = 3.0 * GM_M3_S2 / (squared * squared * sqrt(squared))
-        a = stage[ROTATION] * x + stage[ROTATION + 1] * y + stage[ROTATION + 2] * z
-        b = stage[ROTATION + 3] * x + stage[ROTATION + 4] * y + stage[ROTATION + 5] * z
-        c = stage[ROTATION + 6] * x + stage[ROTATION + 7] * y + stage[ROTATION + 8] * z
-        ja = packed[at] * a + packed[at + 3] * b + packed[at + 4] * c
-        jb = packed[at + 3] * a + packed[at + 1] * b + packed[at + 5] * c
-        jc = packed[at + 4] * a + packed[at + 5] * b + packed[at + 2] * c
+        a, b, c = to_body(stage, x, y, z)
+        ja, jb, jc = symmetric(packed, at, a, b, c)
         stage[TORQUE] += size * (b * jc - c * jb)
         stage[TORQUE + 1] += size * (c * ja - a * jc)
         stage[TORQUE + 2] += size * (a * jb - b * ja)
@@ -105,13 +103,9 @@ class ResidualDipole(Torque):
     def add(packed: FloatArray, at: int, stage: FloatArray) -> None:
         """m x B (Wertz, Spacecraft Attitude Determination and Control, 1978, section 17.2.4)."""
         mx, my, mz = packed[at], packed[at + 1], packed[at + 2]
-        bx, by, bz = stage[FIELD], stage[FIELD + 1], stage[FIELD + 2]
-        stage[TORQUE] += my * bz - mz * by
-        stage[TORQUE + 1] += mz * bx - mx * bz
-        stage[TORQUE + 2] += mx * by - my * bx
+        add_cross(stage, mx, my, mz, stage[FIELD], stage[FIELD + 1], stage[FIELD + 2])
 
     def packed(self, inertia_kg_m2: FloatArray) -> list[float]:
-        """The dipole [A m2]."""
         return list(self.dipole_Am2)
 
 
@@ -144,12 +138,9 @@ class Torquers(Torque):
     @staticmethod
     def add(packed: FloatArray, at: int, stage: FloatArray) -> None:
         """m x B of the dipole that is on, each component times its gain (Wertz 1978, section 17.2.4)."""
-        mx, my, mz = stage[DIPOLE], stage[DIPOLE + 1], stage[DIPOLE + 2]
-        mx, my, mz = mx * packed[at + 3], my * packed[at + 4], mz * packed[at + 5]
-        bx, by, bz = stage[FIELD], stage[FIELD + 1], stage[FIELD + 2]
-        stage[TORQUE] += my * bz - mz * by
-        stage[TORQUE + 1] += mz * bx - mx * bz
-        stage[TORQUE + 2] += mx * by - my * bx
+        mx, my = stage[DIPOLE] * packed[at + 3], stage[DIPOLE + 1] * packed[at + 4]
+        mz = stage[DIPOLE + 2] * packed[at + 5]
+        add_cross(stage, mx, my, mz, stage[FIELD], stage[FIELD + 1], stage[FIELD + 2])
 
     def packed(self, inertia_kg_m2: FloatArray) -> list[float]:
         """Kind of drive, limit, threshold [A m2], gains."""
@@ -182,16 +173,10 @@ class EddyCurrents(Torque):
         """
         wx, wy, wz = stage[RATE], stage[RATE + 1], stage[RATE + 2]
         bx, by, bz = stage[FIELD], stage[FIELD + 1], stage[FIELD + 2]
-        ex, ey, ez = wy * bz - wz * by, wz * bx - wx * bz, wx * by - wy * bx
-        mx = packed[at] * ex + packed[at + 3] * ey + packed[at + 4] * ez
-        my = packed[at + 3] * ex + packed[at + 1] * ey + packed[at + 5] * ez
-        mz = packed[at + 4] * ex + packed[at + 5] * ey + packed[at + 2] * ez
-        stage[TORQUE] += my * bz - mz * by
-        stage[TORQUE + 1] += mz * bx - mx * bz
-        stage[TORQUE + 2] += mx * by - my * bx
+        mx, my, mz = symmetric(packed, at, wy * bz - wz * by, wz * bx - wx * bz, wx * by - wy * bx)
+        add_cross(stage, mx, my, mz, bx, by, bz)
 
     def packed(self, inertia_kg_m2: FloatArray) -> list[float]:
-        """xx, yy, zz, xy, xz, yz."""
         K = self.K_Am2_s_per_T
         return [K[0][0], K[1][1], K[2][2], K[0][1], K[0][2], K[1][2]]
 
@@ -212,9 +197,39 @@ class Plate(Section):
         return self
 
     def row(self) -> list[float]:
-        """Area, unit normal, centre: PLATE_SIZE numbers."""
         normal = np.array(self.normal_B) / np.linalg.norm(self.normal_B)
         return [self.area_m2, *normal.tolist(), *self.centre_m]
+
+
+def press_plates(
+    packed: FloatArray, first: int, count: int, towards: Any, pressure: float, law: Any, stage: FloatArray
+) -> None:
+    """Add the torque of a pressure on plates, packed from `first` on: the sum of centre x force, each force
+    -p A c { along u + (slope c + level) n } with u in B, where what presses comes from, n outward and c = n.u > 0.
+
+    towards: u. law: along, slope, level.
+    """
+    ux, uy, uz = towards
+    along, slope, level = law
+    for plate in range(count):
+        k = first + PLATE_SIZE * plate
+        nx, ny, nz = packed[k + 1], packed[k + 2], packed[k + 3]
+        cosine = nx * ux + ny * uy + nz * uz
+        if cosine > 0.0:
+            size, normal = -pressure * packed[k] * cosine, slope * cosine + level
+            fx = size * (along * ux + normal * nx)
+            fy = size * (along * uy + normal * ny)
+            fz = size * (along * uz + normal * nz)
+            add_cross(stage, packed[k + 4], packed[k + 5], packed[k + 6], fx, fy, fz)
+
+
+def through_air(stage: FloatArray) -> tuple[float, float, float, float]:
+    """Speed through air that turns with the Earth, about z of N, and the velocity in B."""
+    vx = stage[VELOCITY] + EARTH_RATE_RAD_S * stage[POSITION + 1]
+    vy = stage[VELOCITY + 1] - EARTH_RATE_RAD_S * stage[POSITION]
+    vz = stage[VELOCITY + 2]
+    x, y, z = to_body(stage, vx, vy, vz)
+    return sqrt(vx * vx + vy * vy + vz * vz), x, y, z
 
 
 Plates = Annotated[tuple[Plate, ...], BeforeValidator(as_tuple), Field(min_length=1)]
@@ -243,33 +258,13 @@ class Aerodynamic(Torque):
             F = -rho V^2 A c { sigma_t u + [(2 - sigma_n - sigma_t) c + sigma_n V_b / V] n }
 
         (Hughes, Spacecraft Attitude Dynamics, 1986, chapter 8, for a fast body: thermal speeds are nothing to V).
-        The air turns with the Earth, about z of N.
         """
-        vx = stage[VELOCITY] + EARTH_RATE_RAD_S * stage[POSITION + 1]
-        vy = stage[VELOCITY + 1] - EARTH_RATE_RAD_S * stage[POSITION]
-        vz = stage[VELOCITY + 2]
-        speed = sqrt(vx * vx + vy * vy + vz * vz)
+        speed, x, y, z = through_air(stage)
         if speed == 0.0:
             return
-        ux = (stage[ROTATION] * vx + stage[ROTATION + 1] * vy + stage[ROTATION + 2] * vz) / speed
-        uy = (stage[ROTATION + 3] * vx + stage[ROTATION + 4] * vy + stage[ROTATION + 5] * vz) / speed
-        uz = (stage[ROTATION + 6] * vx + stage[ROTATION + 7] * vy + stage[ROTATION + 8] * vz) / speed
         pressure = packed[at + 1] * stage[DENSITY] * speed * speed
-        tangential, specular, thermal = packed[at + 2], packed[at + 3], packed[at + 4]
-        for plate in range(int(packed[at])):
-            k = at + 5 + PLATE_SIZE * plate
-            nx, ny, nz = packed[k + 1], packed[k + 2], packed[k + 3]
-            cosine = nx * ux + ny * uy + nz * uz
-            if cosine > 0.0:
-                size = -pressure * packed[k] * cosine
-                normal = specular * cosine + thermal
-                fx = size * (tangential * ux + normal * nx)
-                fy = size * (tangential * uy + normal * ny)
-                fz = size * (tangential * uz + normal * nz)
-                cx, cy, cz = packed[k + 4], packed[k + 5], packed[k + 6]
-                stage[TORQUE] += cy * fz - cz * fy
-                stage[TORQUE + 1] += cz * fx - cx * fz
-                stage[TORQUE + 2] += cx * fy - cy * fx
+        law = packed[at + 2], packed[at + 3], packed[at + 4]
+        press_plates(packed, at + 5, int(packed[at]), (x / speed, y / speed, z / speed), pressure, law, stage)
 
     def packed(self, inertia_kg_m2: FloatArray) -> list[float]:
         """Number of plates, factor, sigma_t, 2 - sigma_n - sigma_t, sigma_n V_b / V, and the plates."""
@@ -305,28 +300,12 @@ class SolarPressure(Torque):
         pressure = PRESSURE_N_M2 * min(max(stage[SUNLIGHT], 0.0), 1.1)  # the cubic overshoots at the shadow's edge
         if pressure == 0.0:
             return
-        x, y, z = stage[SUN], stage[SUN + 1], stage[SUN + 2]
-        sx = stage[ROTATION] * x + stage[ROTATION + 1] * y + stage[ROTATION + 2] * z
-        sy = stage[ROTATION + 3] * x + stage[ROTATION + 4] * y + stage[ROTATION + 5] * z
-        sz = stage[ROTATION + 6] * x + stage[ROTATION + 7] * y + stage[ROTATION + 8] * z
+        to_sun = to_body(stage, stage[SUN], stage[SUN + 1], stage[SUN + 2])
         specular, diffuse = packed[at + 1], packed[at + 2]
-        for plate in range(int(packed[at])):
-            k = at + 3 + PLATE_SIZE * plate
-            nx, ny, nz = packed[k + 1], packed[k + 2], packed[k + 3]
-            cosine = nx * sx + ny * sy + nz * sz
-            if cosine > 0.0:
-                size = -pressure * packed[k] * cosine
-                along, normal = 1.0 - specular, 2.0 * (specular * cosine + diffuse / 3.0)
-                fx = size * (along * sx + normal * nx)
-                fy = size * (along * sy + normal * ny)
-                fz = size * (along * sz + normal * nz)
-                cx, cy, cz = packed[k + 4], packed[k + 5], packed[k + 6]
-                stage[TORQUE] += cy * fz - cz * fy
-                stage[TORQUE + 1] += cz * fx - cx * fz
-                stage[TORQUE + 2] += cx * fy - cy * fx
+        law = 1.0 - specular, 2.0 * specular, 2.0 * diffuse / 3.0
+        press_plates(packed, at + 3, int(packed[at]), to_sun, pressure, law, stage)
 
     def packed(self, inertia_kg_m2: FloatArray) -> list[float]:
-        """Number of plates, C_s, C_d, and the plates."""
         rows = chain.from_iterable(plate.row() for plate in self.plates)
         return [float(len(self.plates)), self.specular, self.diffuse, *rows]
 
@@ -344,23 +323,13 @@ class DragMoment(Torque):
     def add(packed: FloatArray, at: int, stage: FloatArray) -> None:
         """-rho V^2 / 2 (M x u), u along the motion through the air, M = C_D A c (Wertz 1978, section 17.2.3).
 
-        c is the centre of pressure from the centre of mass; area and c are the same for every wind. The air turns with the
-        Earth, about z of N.
+        c is the centre of pressure from the centre of mass; area and c are the same for every wind.
         """
-        vx = stage[VELOCITY] + EARTH_RATE_RAD_S * stage[POSITION + 1]
-        vy = stage[VELOCITY + 1] - EARTH_RATE_RAD_S * stage[POSITION]
-        vz = stage[VELOCITY + 2]
-        size = -0.5 * stage[DENSITY] * sqrt(vx * vx + vy * vy + vz * vz)
-        ux = size * (stage[ROTATION] * vx + stage[ROTATION + 1] * vy + stage[ROTATION + 2] * vz)
-        uy = size * (stage[ROTATION + 3] * vx + stage[ROTATION + 4] * vy + stage[ROTATION + 5] * vz)
-        uz = size * (stage[ROTATION + 6] * vx + stage[ROTATION + 7] * vy + stage[ROTATION + 8] * vz)
-        mx, my, mz = packed[at], packed[at + 1], packed[at + 2]
-        stage[TORQUE] += my * uz - mz * uy
-        stage[TORQUE + 1] += mz * ux - mx * uz
-        stage[TORQUE + 2] += mx * uy - my * ux
+        speed, x, y, z = through_air(stage)
+        size = -0.5 * stage[DENSITY] * speed
+        add_cross(stage, packed[at], packed[at + 1], packed[at + 2], size * x, size * y, size * z)
 
     def packed(self, inertia_kg_m2: FloatArray) -> list[float]:
-        """The moment [m3]."""
         return list(self.moment_m3)
 
 
@@ -380,17 +349,10 @@ class SunlightMoment(Torque):
         c is the centre of pressure from the centre of mass; area and c are the same for every direction of the sun.
         """
         pressure = -PRESSURE_N_M2 * min(max(stage[SUNLIGHT], 0.0), 1.1)
-        x, y, z = stage[SUN], stage[SUN + 1], stage[SUN + 2]
-        sx = pressure * (stage[ROTATION] * x + stage[ROTATION + 1] * y + stage[ROTATION + 2] * z)
-        sy = pressure * (stage[ROTATION + 3] * x + stage[ROTATION + 4] * y + stage[ROTATION + 5] * z)
-        sz = pressure * (stage[ROTATION + 6] * x + stage[ROTATION + 7] * y + stage[ROTATION + 8] * z)
-        mx, my, mz = packed[at], packed[at + 1], packed[at + 2]
-        stage[TORQUE] += my * sz - mz * sy
-        stage[TORQUE + 1] += mz * sx - mx * sz
-        stage[TORQUE + 2] += mx * sy - my * sx
+        x, y, z = to_body(stage, stage[SUN], stage[SUN + 1], stage[SUN + 2])
+        add_cross(stage, packed[at], packed[at + 1], packed[at + 2], pressure * x, pressure * y, pressure * z)
 
     def packed(self, inertia_kg_m2: FloatArray) -> list[float]:
-        """The moment [m3]."""
         return list(self.moment_m3)
 
 

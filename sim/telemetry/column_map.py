@@ -23,6 +23,7 @@ Nothing is guessed: a quantity with a dimension must state its unit.
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self
 
@@ -31,15 +32,17 @@ from pydantic import BeforeValidator, Field, model_validator
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.limits import MAX_SAMPLES
 from fluxtwin.sim.base.toml_input import Strict, read_model
-from fluxtwin.sim.telemetry import column_map_attitude, column_map_values, time_recipes, zones
+from fluxtwin.sim.telemetry import column_map_values, time_stamps
 from fluxtwin.sim.telemetry import column_map_words as words
 from fluxtwin.sim.telemetry.columns import FileTable
 from fluxtwin.sim.telemetry.formats.catalogue import format_of
 from fluxtwin.sim.telemetry.formats.table import Table
+from fluxtwin.sim.telemetry.netcdf_files import NetcdfFile
 from fluxtwin.sim.telemetry.quantities import BY_MAP_NAME, DRIVERS, FAMILIES, family_of
 from fluxtwin.sim.telemetry.selection import condition
 
 PRESETS = Path(__file__).parent / "data" / "presets"
+LAYOUTS = Path(__file__).parent / "data" / "layouts"
 PRESET = "preset:"
 KNOWN = [
     *sorted(BY_MAP_NAME, key=lambda name: not BY_MAP_NAME[name].map_units),
@@ -57,7 +60,7 @@ class TimeRecipe(Strict):
     epoch: str | None = None
     """Origin of `seconds_since` (SI seconds), in the time scale."""
     scale: Literal["UTC", "TAI", "GPS", "TT"] | None = None
-    """Time scale of the stamps; None: that of the recipe, which is UTC where `time_recipes` does not say another."""
+    """Time scale of the stamps; None: that of the recipe, which is UTC where `time_stamps` does not say another."""
     format: str | None = None
     """Of the recipe `text`, as strptime has it: `%d/%m/%Y %H:%M:%S.%f`."""
     unit_s: list[float] | None = None
@@ -71,12 +74,11 @@ class TimeRecipe(Strict):
 
     @property
     def names(self) -> list[str]:
-        """The columns as a list."""
         return [self.columns] if isinstance(self.columns, str) else self.columns
 
     @model_validator(mode="after")
     def _complete(self) -> Self:
-        counted = time_recipes.COUNTED.get(self.recipe)
+        counted = time_stamps.COUNTED.get(self.recipe)
         wanted = len(self.unit_s or counted.units_s) if counted is not None else 1
         if self.unit_s is not None and (
             counted is None or not self.unit_s or not all(1e-12 <= one <= 1e9 for one in self.unit_s)
@@ -94,7 +96,7 @@ class TimeRecipe(Strict):
             if (self.recipe == owner) != (given is not None):
                 raise ValueError(f"{key} belongs to the recipe {owner}, and is needed there")
         if self.zone is not None:
-            zones.named(self.zone)
+            time_stamps.zone_named(self.zone)
             scale = self.scale or (counted.scale if counted is not None else "UTC")
             if scale != "UTC" or "%z" in (self.format or ""):
                 raise ValueError("zone is for local times; these stamps are " + ("%z" if scale == "UTC" else scale))
@@ -128,8 +130,6 @@ class ColumnSpec(Strict):
     """Order of the quaternion's components; xyz leaves the scalar out (it is taken as positive)."""
     sense: Literal["textbook", "conjugate"] = "textbook"
     """textbook: the attitude matrix of the quaternion maps reference components to body components."""
-    angles: Literal["yaw_roll_pitch_deg", "yaw_roll_pitch_rad"] | None = None
-    """The three columns are the 3-1-2 angles instead of a quaternion: `euler = "ZXY"` with the unit in it."""
     euler: str | None = None
     """Axes of the three angles, as scipy has them: "ZYX" turns about the body's axes, "zyx" about those of the reference;
     the rotation takes the reference's axes to the body's."""
@@ -141,7 +141,6 @@ class ColumnSpec(Strict):
 
     @property
     def names(self) -> list[str]:
-        """The columns as a list."""
         return [self.source] if isinstance(self.source, str) else self.source
 
     @property
@@ -154,7 +153,7 @@ class ColumnSpec(Strict):
     @property
     def reference(self) -> str | None:
         """`relative_to` by its own name; of measured vectors what they are."""
-        if self.vectors in column_map_attitude.MEASURED:
+        if self.vectors in column_map_values.MEASURED:
             return self.vectors.replace(" ", "_")
         return None if self.relative_to is None else words.canonical(self.relative_to)
 
@@ -220,7 +219,9 @@ class LayoutVariable(Strict):
 
 
 class Layout(Strict):
-    """Which NetCDF files a packaged map is for: all of this must be so. See `layouts.recognised`."""
+    """Which NetCDF files a packaged map is for: title, names, shapes and units of all variables; one more variable, or
+    another unit, and it is not. `check` reads such a file without `--map` and says so; whatever computes from telemetry asks
+    for the map all the same."""
 
     name: str
     taken_as: str
@@ -280,6 +281,45 @@ def preset(path: Path | str) -> Path | None:
 def presets() -> list[str]:
     """The names of the packaged maps for the exports of common missions and units."""
     return sorted(path.stem for path in PRESETS.glob("*.toml"))
+
+
+@cache
+def packaged_layouts() -> dict[str, ColumnMap]:
+    """The packaged maps by their names, without `.toml`."""
+    return {path.stem: load_column_map(path) for path in sorted(LAYOUTS.glob("*.toml"))}
+
+
+def recognised(path: Path | str) -> tuple[str, ColumnMap] | None:
+    """Name and map of the one packaged layout that `path` has in every particular; None when there is none."""
+    if not Path(path).name.lower().endswith((".nc", ".nc4", ".h5")):
+        return None
+    try:
+        with NetcdfFile(path) as opened:
+            fitting = [
+                (name, column_map)
+                for name, column_map in packaged_layouts().items()
+                if column_map.layout is not None and _fits(opened, column_map.layout)
+            ]
+    except BadInput:  # damaged: the reader's own message is the better one
+        return None
+    return fitting[0] if len(fitting) == 1 else None
+
+
+def _fits(opened: NetcdfFile, layout: Layout) -> bool:
+    title = opened.attributes().get("title")
+    if not (isinstance(title, str) and title.startswith(layout.title_begins)):
+        return False
+    if set(opened.names()) != set(layout.variables):
+        return False
+    rows = opened.shape("time")[0]
+    for name, stated in layout.variables.items():
+        units = opened.attributes(name).get("units")
+        if name == "time" and isinstance(units, str):
+            units = units.split(" since ")[0]
+        shape = tuple(rows if size == "time" else size for size in stated.shape)
+        if opened.shape(name) != shape or units != stated.units:
+            return False
+    return True
 
 
 def mapped_table(
@@ -366,4 +406,4 @@ def _check_quantity(name: str, spec: ColumnSpec) -> None:
         raise ValueError(f"{name} takes three columns")
     column_map_values.check(name, spec, quantity)
     if name == "attitude":
-        column_map_attitude.check(spec)
+        column_map_values.check_attitude(spec)

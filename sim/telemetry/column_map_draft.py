@@ -187,7 +187,6 @@ def _alike(headers: list[Header]) -> list[Header]:
 
 
 def _common(names: Sequence[str]) -> str:
-    """What all begin with."""
     return "".join(one[0] for one in itertools.takewhile(lambda one: len(set(one)) == 1, zip(*names, strict=False)))
 
 
@@ -227,7 +226,6 @@ def _file(header: Header, *, named: bool, seen: set[str], by_size: bool) -> tupl
     lines += _rows_that_count(header)
     lines.append("[file.columns]")
     free, here = [name for name in header.names if name not in used], dict[str, list[str]]()
-    head, apart = list(lines), list[str]()
     for quantity, columns, keys, doubts in _quantities(header, free, by_size=by_size):
         source = columns[0] if len(columns) == 1 else columns
         inner = ", ".join(
@@ -247,21 +245,12 @@ def _file(header: Header, *, named: bool, seen: set[str], by_size: bool) -> tupl
             continue
         seen.add(quantity)
         here[quantity] = columns
-        said = [*(f"{CONFIRM} {text}" for text in doubts), f"{quantity} = {{ {inner} }}"]
-        if quantity == "attitude" and "mag" in here and _elsewhere(header, columns, here["mag"]):
-            apart = [
-                "",
-                "# The attitude is in other rows than the readings: it is interpolated onto theirs.",
-                *head,
-                *said,
-            ]
-        else:
-            lines += said
+        lines += [*(f"{CONFIRM} {text}" for text in doubts), f"{quantity} = {{ {inner} }}"]
         used |= set(columns)
     rest = [name for name in header.names if name not in used]
     if rest:
         lines.append(f"# not used: {', '.join(rest[:30])}{' ...' if len(rest) > 30 else ''}")
-    return lines + apart, bool(how)
+    return lines, bool(how)
 
 
 def _left(header: Header, columns: list[str], others: list[str]) -> tuple[float, float]:
@@ -284,17 +273,10 @@ def _left(header: Header, columns: list[str], others: list[str]) -> tuple[float,
     return size / least, size / max(float(np.sqrt(np.mean(two**2))), np.finfo(float).tiny)
 
 
-def _elsewhere(header: Header, columns: list[str], others: list[str]) -> bool:
-    """Whether a tenth or more of the rows that have the others lack these."""
-    has, too = (np.isfinite(_stacked(header, one)).all(axis=1) for one in (others, columns))
-    return bool((has & too).sum() < 0.9 * has.sum())
-
-
 _Found = tuple[str, list[str], dict[str, object], list[str]]
 
 
 def _quantities(header: Header, free: list[str], *, by_size: bool) -> list[_Found]:
-    """Quantity, columns, keys of the map, doubts."""
     out: list[_Found] = []
     ours = [name for name in free if not (_NO_STATE.search(_stem([name])) or "cmd" in name.lower())]
     attitude = _quaternion(header, ours) or _angles(header, ours) or _matrix(header, ours)
@@ -453,20 +435,26 @@ def _triples(header: Header, free: list[str]) -> list[list[str]]:
     out = [[name] for name in free if name in header.values and header.values[name].shape[1:] == (3,)]
     known, taken = {name.lower(): name for name in free}, set[str]()
     for name in free:
-        for axes in _AXES:
-            for place in [m.start() for m in re.finditer(re.escape(axes[0]), name.lower())]:
-                others = [f"{name.lower()[:place]}{axis}{name.lower()[place + 1 :]}" for axis in axes]
-                if all(o in known and known[o] in header.values for o in others) and not taken & set(others):
-                    taken |= set(others)
-                    out.append([known[o] for o in others])
+        for others in (others for axes in _AXES for others in _companions(name, axes)):
+            if all(o in known and known[o] in header.values for o in others) and not taken & set(others):
+                taken |= set(others)
+                out.append([known[o] for o in others])
     return out
+
+
+def _companions(name: str, ends: Sequence[str]) -> list[list[str]]:
+    """Names in small letters that differ in one place from this one, which has the first of `ends` there."""
+    low = name.lower()
+    return [
+        [f"{low[: found.start()]}{end}{low[found.end() :]}" for end in ends]
+        for found in re.finditer(re.escape(ends[0]), low)
+    ]
 
 
 def _quaternion(header: Header, free: list[str]) -> _Found | None:
     known = {name.lower(): name for name in free}
     for name, (order, ends, guess) in itertools.product(free, _QUATERNIONS):
-        for place in [m.start() for m in re.finditer(re.escape(ends[0]), name.lower())]:
-            others = [f"{name.lower()[:place]}{end}{name.lower()[place + 1 :]}" for end in ends]
+        for others in _companions(name, ends):
             columns = [known[o] for o in others if o in known]
             said = _ATTITUDE.search(f"{header.sheet or header.path.stem} {name}") or len(name) == 1
             if len(columns) == 4 and said and _is_unit(header, columns):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import MutableMapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -12,11 +13,10 @@ import numpy as np
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.limits import MAX_SAMPLES
 from fluxtwin.sim.base.types import FloatArray
-from fluxtwin.sim.telemetry.column_map_values import from_lists
+from fluxtwin.sim.telemetry.column_map_values import LIST_BYTES, from_lists
 from fluxtwin.sim.telemetry.columns import TRUTHS
-from fluxtwin.sim.telemetry.csv_files import CsvFile, open_csv
+from fluxtwin.sim.telemetry.csv_files import open_csv
 from fluxtwin.sim.telemetry.formats.catalogue import format_of, table_of
-from fluxtwin.sim.telemetry.formats.table import Table
 from fluxtwin.sim.telemetry.netcdf_files import NetcdfFile
 from fluxtwin.sim.telemetry.telemetry_files import refuse_toml
 
@@ -62,55 +62,38 @@ def header_of(path: Path, sheet: str | None = None) -> Header:
         with NetcdfFile(path) as opened:
             return _netcdf_header(path, opened)
     if (table := table_of(path, MAX_SAMPLES, sheet)) is not None:
-        return _table_header(path, table, sheet)
+        found = Header(path, table.names(), units=dict(table.units), sheet=sheet, frame=table.attributes.get("frame"))
+        for name, value in table.columns.items():
+            found.rows = max(found.rows, len(value))
+            if value.dtype.kind == "M":
+                found.cf.append(name)
+            elif value.dtype.kind == "S":
+                _look(found, name, value)
+            elif value.ndim <= 2:
+                found.values[name] = np.asarray(value[:_SAMPLE], dtype=np.float64)
+        return found
     refuse_toml(path)
     csv = open_csv(path)
     found = Header(path, list(csv.names), rows=csv.rows)
     for name in csv.names:
-        _look(csv, name, found)
+        _look(found, name, csv.text(name, width=LIST_BYTES))
     return found
 
 
-def _look(csv: CsvFile, name: str, header: Header) -> None:
-    """Whether a column holds numbers or stamps."""
-    text = csv.text(name)[:_SAMPLE]
-    header.texts[name] = _words(text)
-    if any(re.match(rb"\s*\d{4}-\d\d-\d\d[T ]\d\d:", bytes(cell)) for cell in text[:20]):
+def _look(header: Header, name: str, text: np.ndarray) -> None:
+    """Whether a column of text, bytes (N,), holds numbers, stamps or lists."""
+    cells = [cell.decode("utf-8", "replace").strip() for cell in text[:_SAMPLE].tolist()]
+    header.texts[name] = [cell for cell in cells[:20] if cell]
+    if any(re.match(r"\d{4}-\d\d-\d\d[T ]\d\d:", cell) for cell in cells[:20]):
         header.iso.append(name)
         return
-    try:
-        cells = [cell.decode("utf-8", "replace").strip().lower() for cell in text.tolist()]
-        header.values[name] = np.array([TRUTHS[cell] if cell in TRUTHS else float(cell or "nan") for cell in cells])
+    with suppress(ValueError):
+        header.values[name] = np.array([TRUTHS[c.lower()] if c.lower() in TRUTHS else float(c or "nan") for c in cells])
         return
-    except ValueError:
-        pass
-    try:
-        listed = from_lists(csv.text(name, width=400)[:_SAMPLE], name, csv.where)
-    except BadInput:
-        return
-    if listed.shape[1] in (3, 4):
-        header.values[name] = listed
-
-
-def _words(cells: np.ndarray) -> list[str]:
-    """Some of the cells, an array of bytes, that are not blank."""
-    return [cell.decode("utf-8", "replace").strip() for cell in cells[:20].tolist() if cell.strip()]
-
-
-def _table_header(path: Path, table: Table, sheet: str | None) -> Header:
-    found = Header(path, table.names(), units=dict(table.units), sheet=sheet, frame=table.attributes.get("frame"))
-    for name, value in table.columns.items():
-        found.rows = max(found.rows, len(value))
-        if value.dtype.kind == "M":
-            found.cf.append(name)
-        elif value.dtype.kind == "S":
-            found.texts[name] = _words(value)
-            found.iso += (
-                [name] if any(re.match(rb"\s*\d{4}-\d\d-\d\d[T ]\d\d:", cell) for cell in value[:20].tolist()) else []
-            )
-        elif value.ndim <= 2:
-            found.values[name] = np.asarray(value[:_SAMPLE], dtype=np.float64)
-    return found
+    with suppress(BadInput):
+        listed = from_lists(text[:_SAMPLE], name, str(header.path))
+        if listed.shape[1] in (3, 4):
+            header.values[name] = listed
 
 
 def _netcdf_header(path: Path, opened: NetcdfFile) -> Header:
@@ -121,13 +104,11 @@ def _netcdf_header(path: Path, opened: NetcdfFile) -> Header:
         if " since " in units:
             header.cf.append(name)
             continue
-        try:
+        with suppress(BadInput):
             value = np.asarray(opened.numbers(name))
-        except BadInput:
-            continue
-        if value.ndim in (1, 2) and len(value):
-            header.values[name] = value[:_SAMPLE]
-            header.rows = max(header.rows, len(value))
+            if value.ndim in (1, 2) and len(value):
+                header.values[name] = value[:_SAMPLE]
+                header.rows = max(header.rows, len(value))
     return header
 
 

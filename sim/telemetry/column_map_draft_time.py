@@ -49,20 +49,21 @@ _BETWEEN = (" ", "T", "-", "_")
 _FEW = 0.01  # steps back, of all: a packet that was sent twice, not a number that swings
 
 
-def recipe(header: Header) -> tuple[str, set[str], str]:
-    """The recipe as it stands in a map, the columns it takes, and what is doubtful in it.
+_Found = tuple[str, set[str], str]
+"""The recipe as it stands in a map, the columns that it takes, and what is doubtful in it."""
 
-    Raises BadInput where no column looks like time.
-    """
+
+def recipe(header: Header) -> _Found:
+    """Raises BadInput where no column looks like time."""
     if header.cf:
-        return f'{{ recipe = "cf", columns = {json.dumps(header.cf[0])} }}', {header.cf[0]}, ""
+        return _recipe("cf", header.cf[:1], "")
     for name in sorted(header.iso, key=lambda one: not _LIKELY.search(one)):
         ground = f"that {name} is the spacecraft's own stamp, not that of the ground" if _GROUND.search(name) else ""
-        return f'{{ recipe = "iso", columns = {json.dumps(name)} }}', {name}, ground
+        return _recipe("iso", [name], ground)
     written = text_format(header.texts)
     if written is not None:
         names, form, doubt = written
-        return f'{{ recipe = "text", columns = {json.dumps(names)}, format = {json.dumps(form)} }}', set(names), doubt
+        return _recipe("text", names, doubt, format=form)
     numbers = {name: value for name, value in header.values.items() if value.ndim == 1 and np.isfinite(value).any()}
     found = _weeks(numbers) or _stated(numbers) or _unix(numbers) or _counted(numbers)
     if found is None:
@@ -74,30 +75,34 @@ def recipe(header: Header) -> tuple[str, set[str], str]:
     return found
 
 
-def _weeks(numbers: Mapping[str, FloatArray]) -> tuple[str, set[str], str] | None:
+def _recipe(how: str, columns: list[str], doubt: str, **more: object) -> _Found:
+    shown = {"recipe": how, "columns": columns if len(columns) > 1 else columns[0], **more}
+    return f"{{ {', '.join(f'{key} = {json.dumps(value)}' for key, value in shown.items())} }}", set(columns), doubt
+
+
+def _weeks(numbers: Mapping[str, FloatArray]) -> _Found | None:
     """GPS week and second of week."""
     weeks = [n for n, v in numbers.items() if _WEEK.search(n) and np.nanmax(v) < 1e4 and not np.any(v % 1.0 > 0.0)]
     seconds = [n for n, v in numbers.items() if _OF_WEEK.search(n) and np.nanmin(v) >= 0.0]
     for (week, second), unit_s in itertools.product(itertools.product(weeks, seconds), (1.0, 1e-3)):
         if week != second and np.nanmax(numbers[second]) * unit_s <= _WEEK_S:
             doubt = "the week counts from 1980 (no roll-over), seconds of week are GPS time"
-            unit = "" if unit_s == 1.0 else f", unit_s = [604800, {unit_s}]"
-            text = f'{{ recipe = "gps_week_tow", columns = {json.dumps([week, second])}{unit} }}'
-            return text, {week, second}, doubt
+            unit = {} if unit_s == 1.0 else {"unit_s": [604800, unit_s]}
+            return _recipe("gps_week_tow", [week, second], doubt, **unit)
     return None
 
 
-def _stated(numbers: Mapping[str, FloatArray]) -> tuple[str, set[str], str] | None:
+def _stated(numbers: Mapping[str, FloatArray]) -> _Found | None:
     """A recipe that the name of a column states and its size confirms."""
     for how, word, first, last, doubt in _COUNTS:
         for name, value in numbers.items():
             of_size = first < float(np.nanmedian(value)) < last and (_runs(value) or falls(value))
             if re.search(word, name, re.IGNORECASE) and of_size:
-                return f'{{ recipe = "{how}", columns = {json.dumps(name)} }}', {name}, doubt.format(name)
+                return _recipe(how, [name], doubt.format(name))
     return None
 
 
-def _unix(numbers: Mapping[str, FloatArray]) -> tuple[str, set[str], str] | None:
+def _unix(numbers: Mapping[str, FloatArray]) -> _Found | None:
     """Unix time by its size: in a column with a likely name, or in any other that runs on."""
     for name in sorted(numbers, key=lambda one: not _LIKELY.search(one)):
         size = float(np.nanmedian(numbers[name])) if _LIKELY.search(name) or _runs(numbers[name]) else 0.0
@@ -106,22 +111,21 @@ def _unix(numbers: Mapping[str, FloatArray]) -> tuple[str, set[str], str] | None
                 nano = [n for n in numbers if n != name and re.search(r"ns$|nano|nsec", n, re.IGNORECASE)]
                 doubt = f"{name} looks like Unix time; that it is UTC, and the spacecraft's own stamp, is a guess"
                 if how == "unix_s" and nano:
-                    text = f'{{ recipe = "seconds_ns", columns = {json.dumps([name, nano[0]])} }}'
-                    return text, {name, nano[0]}, doubt
-                return f'{{ recipe = "{how}", columns = {json.dumps(name)} }}', {name}, doubt
+                    return _recipe("seconds_ns", [name, nano[0]], doubt)
+                return _recipe(how, [name], doubt)
     return None
 
 
-def _counted(numbers: Mapping[str, FloatArray]) -> tuple[str, set[str], str] | None:
+def _counted(numbers: Mapping[str, FloatArray]) -> _Found | None:
     """Seconds since an epoch that is not known."""
     name = next((name for name, value in numbers.items() if _LIKELY.search(name) and _runs(value)), None)
     if name is None:
         return None
     scale = next((one for one in ("TAI", "GPS", "TT") if re.search(rf"(?i)(^|_| ){one}", name)), None)
-    more = f', scale = "{scale}"' if scale else ""
+    more = {"scale": scale} if scale else {}
     origin = "2000-01-01T12:00:00Z" if "2000" in name else "YYYY-MM-DDThh:mm:ssZ"
-    text = f'{{ recipe = "seconds_since", columns = {json.dumps(name)}, epoch = "{origin}"{more} }}'
-    return text, {name}, f"the epoch from which {name} counts seconds is not known"
+    doubt = f"the epoch from which {name} counts seconds is not known"
+    return _recipe("seconds_since", [name], doubt, epoch=origin, **more)
 
 
 def _runs(value: FloatArray) -> bool:

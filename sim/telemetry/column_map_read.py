@@ -14,7 +14,7 @@ from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.earth.constants import EARTH_RATE_RAD_S
 from fluxtwin.sim.earth.frames import rotation_from_N
-from fluxtwin.sim.telemetry import column_map_attitude, column_map_values, time_recipes, time_stamps, zones
+from fluxtwin.sim.telemetry import column_map_values, time_stamps
 from fluxtwin.sim.telemetry.column_map import ColumnSpec, FileEntry, TimeRecipe, matches
 from fluxtwin.sim.telemetry.columns import clip
 from fluxtwin.sim.telemetry.csv_files import CsvFile, open_csv
@@ -24,8 +24,6 @@ from fluxtwin.sim.telemetry.netcdf_files import NetcdfFile
 from fluxtwin.sim.telemetry.quantities import BY_MAP_NAME, family_of
 from fluxtwin.sim.telemetry.selection import STAMPS, Condition, condition
 
-_LIST_BYTES = 400
-"""Width of a cell that holds a list of numbers, at most."""
 _NAMED = 3  # files in one notice; the others are counted
 
 
@@ -123,7 +121,7 @@ class _Reader:
         if isinstance(self.file, CsvFile) or (
             isinstance(self.file, Table) and self.file.columns[name].dtype.kind == "S"
         ):
-            text = self._blanked(self.file.text(name, width=_LIST_BYTES), b"")
+            text = self._blanked(self.file.text(name, width=column_map_values.LIST_BYTES), b"")
             return column_map_values.from_lists(text, name, self.where)
         return self.numbers([name])
 
@@ -164,24 +162,24 @@ class _Reader:
         """Stamps that the file has as such, in the recipe's time scale."""
         names = [self._named(name) for name in recipe.names]
         if recipe.recipe == "cf" and not isinstance(self.file, CsvFile):
-            return zones.utc(
-                self._blanked(self.file.times(names[0]), np.datetime64("NaT", "ns")), recipe.zone, self.where
-            )
-        if recipe.recipe == "cf" or isinstance(self.file, NetcdfFile):
+            stamps = self._blanked(self.file.times(names[0]), np.datetime64("NaT", "ns"))
+        elif recipe.recipe == "cf" or isinstance(self.file, NetcdfFile):
             raise BadInput(f"time recipe {recipe.recipe} does not fit this kind of file", where=self.where)
-        text = self._blanked(time_recipes.joined(self.file.text, names), b"")
-        if recipe.recipe == "text":
-            return zones.utc(time_stamps.parse_text(text, str(recipe.format), self.where), recipe.zone, self.where)
-        said = notices if recipe.scale is None else None
-        return time_stamps.parse_iso(text, self.where, said, " and ".join(names), recipe.zone)
+        else:
+            text = self._blanked(time_stamps.joined(self.file.text, names), b"")
+            if recipe.recipe == "iso":  # what states a zone of its own keeps it
+                said = notices if recipe.scale is None else None
+                return time_stamps.parse_iso(text, self.where, said, " and ".join(names), recipe.zone)
+            stamps = time_stamps.parse_text(text, str(recipe.format), self.where)
+        return time_stamps.utc_of_local(stamps, recipe.zone, self.where)
 
     def times(self, recipe: TimeRecipe, notices: list[str]) -> TimeArray:
         """UTC stamps by `recipe`; what was assumed of them goes to `notices`."""
-        if recipe.recipe in time_recipes.TEXT:
+        if recipe.recipe in time_stamps.TEXT:
             return epoch.utc_of(self._written(recipe, notices), recipe.scale or "UTC")
         raw = self.numbers(recipe.names)
         raw[np.isin(raw[:, 0], recipe.invalid), 0] = np.nan
-        return zones.utc(time_recipes.stamps(raw, recipe), recipe.zone, self.where)
+        return time_stamps.utc_of_local(time_stamps.stamps_of_counts(raw, recipe), recipe.zone, self.where)
 
 
 def _source(reader: _Reader, entry: FileEntry, notices: list[str], digest: str) -> Source:
@@ -234,7 +232,7 @@ def _quantity(reader: _Reader, name: str, spec: ColumnSpec, fill: list[float]) -
         size = np.linalg.norm(value, axis=1, keepdims=True)
         value = np.divide(value, size, out=np.full_like(value, np.nan), where=size > 0)
     if name == "attitude":
-        value = column_map_attitude.quaternion(value, spec, reader.where)
+        value = column_map_values.quaternion(value, spec, reader.where)
     return np.array(value, dtype=np.float64)
 
 

@@ -6,7 +6,7 @@ import difflib
 from functools import partial
 from typing import Any
 
-from fluxtwin.sim.telemetry.time_recipes import NAMES
+from fluxtwin.sim.telemetry.time_stamps import NAMES
 
 FRAMES = ("GCRS", "J2000", "mean_of_date", "true_of_date", "ITRS")
 POSITIONS = (*FRAMES, "geodetic", "geocentric")

@@ -81,7 +81,6 @@ class Resolution:
 
     @property
     def used(self) -> tuple[str, ...]:
-        """All file columns the record takes."""
         plain = [column for columns, _ in self.found.values() for column in columns]
         return (*plain, *(column for columns in self.named.values() for column in columns.values()), *self.wheels)
 

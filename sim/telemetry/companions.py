@@ -44,9 +44,8 @@ def attitude(
 ) -> tuple[FloatArray, list[str]]:
     """Quaternions q_NB (N, 4) at the stamps from a CCSDS AEM, NaN out of its reach, and what is to be said of them."""
     from fluxtwin.sim.telemetry.column_map_merge import attitude_at
-    from fluxtwin.sim.telemetry.formats import aem
 
-    table = aem.read(Path(path))
+    table = ccsds.read_aem(Path(path))
     columns = {
         "attitude": {
             "from": ["q_x", "q_y", "q_z", "q_w"],
@@ -61,9 +60,8 @@ def attitude(
 
 def _from_oem(path: Path, time: TimeArray) -> tuple[FloatArray, FloatArray, list[str]]:
     from fluxtwin.sim.telemetry.column_map_merge import orbit_at
-    from fluxtwin.sim.telemetry.formats import oem
 
-    table = oem.read(path)
+    table = ccsds.read_oem(path)
     frame = table.attributes["frame"]
     columns = {
         "position": {"from": ["x", "y", "z"], "unit": "km", "frame": frame},

@@ -14,7 +14,7 @@ import io
 import re
 import zlib
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -58,6 +58,8 @@ _NUMBER = re.compile(r"\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*")
 _STAMP = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(\.(\d{3}){1,3})?Z")
 """A stamp as `format_iso` writes it."""
 _ROWS_AT_ONCE = 50_000
+_OF_QUOTED = b"\x1f"
+"""What stands between the cells of a table with quotes once these are off."""
 _MARKS = {b";": "semicolons", b"\t": "tabs", b"|": "bars"}
 _NO_DECIMAL_COMMA = re.compile(rb"\.\d{0,20},|,\d{0,20}[.,]|[^\d;\t|\n+ -],|,[^\d;\t|\neE ]")
 """Where a comma is no decimal comma: 1.234,5, 1,234,567, text."""
@@ -71,21 +73,19 @@ class CsvFile:
 
     where: str
     names: tuple[str, ...]
+    mark: bytes
+    """Between two cells: a comma, or what no cell has where the file uses quotes."""
     body: bytes
-    """Rows, LF line ends, without quotes; empty when `cells` holds them."""
-    cells: list[list[str]] | None
-    """Rows already split, where the file uses quotes."""
+    """Rows, LF line ends, without quotes."""
     rows: int
     sha256: str
-    notices: tuple[str, ...] = field(default=())
+    notices: tuple[str, ...]
 
     def text(self, name: str, width: int = TEXT_BYTES) -> np.ndarray:
         """One column as bytes (N,), cut at `width`."""
         place = self.names.index(name)
-        if self.cells is not None:
-            return np.array([row[place].encode("utf-8") for row in self.cells], dtype=np.bytes_)
         rows = self.body.split(b"\n")[:-1]
-        return np.array([row.split(b",", place + 1)[place] for row in rows], dtype=f"S{width}")
+        return np.array([row.split(self.mark, place + 1)[place] for row in rows], dtype=f"S{width}")
 
     def numbers(self, names: list[str]) -> dict[str, FloatArray]:
         """Columns as float64, blank and NaN missing; columns of nothing but true and false as 1 and 0.
@@ -94,11 +94,10 @@ class CsvFile:
         """
         if not names:
             return {}
-        if self.cells is not None:
-            return {name: self._numbers_from_cells(name) for name in names}
-        places, opened = [self.names.index(name) for name in names], io.BytesIO(_without_blanks(self.body))
+        places, mark = [self.names.index(name) for name in names], self.mark.decode()
+        opened = io.BytesIO(_without_blanks(self.body, self.mark))
         try:
-            table = np.loadtxt(opened, delimiter=",", comments=None, usecols=places, ndmin=2, encoding="latin1")
+            table = np.loadtxt(opened, delimiter=mark, comments=None, usecols=places, ndmin=2, encoding="latin1")
         except ValueError:
             truths = {name: said for name in names if (said := truths_in(self.text(name))) is not None}
             if truths:
@@ -106,44 +105,26 @@ class CsvFile:
             raise self._bad_cell(names) from None
         found = {name: np.ascontiguousarray(column) for name, column in zip(names, table.T, strict=True)}
         for name, value in found.items() if np.isinf(table).any() else ():
-            self._finite(name, value)
+            rows = np.flatnonzero(np.isinf(value))
+            if rows.size:
+                raise BadInput(
+                    f"{clip(name)} in row {rows[0] + 1} is infinite or too large for a number",
+                    where=self.where,
+                    wanted="finite numbers; blank or NaN where a value is missing",
+                )
         return found
-
-    def _numbers_from_cells(self, name: str) -> FloatArray:
-        place = self.names.index(name)
-        texts = [row[place] for row in self.cells or []]
-        wrong = next((i for i, text in enumerate(texts) if not _is_number(text)), None)
-        if wrong is not None:
-            if (truths := truths_in(self.text(name))) is not None:
-                return truths
-            raise self._not_a_number(name, wrong, texts[wrong])
-        value = np.array([np.nan if t.strip() in _MISSING else float(t) for t in texts], dtype=np.float64)
-        self._finite(name, value)
-        return value
-
-    def _finite(self, name: str, value: FloatArray) -> None:
-        rows = np.flatnonzero(np.isinf(value))
-        if rows.size:
-            raise BadInput(
-                f"{clip(name)} in row {rows[0] + 1} is infinite or too large for a number",
-                where=self.where,
-                wanted="finite numbers; blank or NaN where a value is missing",
-            )
 
     def _bad_cell(self, names: list[str]) -> BadInput:
         for name in names:
             for row, raw in enumerate(self.text(name).tolist()):
                 text = raw.decode("utf-8", "replace")
                 if not _is_number(text):
-                    return self._not_a_number(name, row, text)
+                    return BadInput(
+                        f"{clip(name)} in row {row + 1} is {clip(text, 30)!r}, which is no number",
+                        where=self.where,
+                        wanted="plain decimal numbers in every row below the header; blank or NaN where a value is missing",
+                    )
         return BadInput("a number could not be read", where=self.where, wanted="plain decimal numbers")
-
-    def _not_a_number(self, name: str, row: int, text: str) -> BadInput:
-        return BadInput(
-            f"{clip(name)} in row {row + 1} is {clip(text, 30)!r}, which is no number",
-            where=self.where,
-            wanted="plain decimal numbers in every row below the header; blank or NaN where a value is missing",
-        )
 
 
 def read_table(path: Path | str, *, max_samples: int = MAX_SAMPLES, others: Sequence[str] = ()) -> FileTable:
@@ -214,11 +195,11 @@ def open_csv(path: Path | str, *, max_samples: int = MAX_SAMPLES) -> CsvFile:
     body = _whole_rows(body, notices, where)
     if any(map(_CHECKS.fullmatch, names)):
         names, body = _without_checks(head, names, body, where)
+    mark = b","
     if b'"' in body:
-        cells = _quoted(body, len(names), where)
-        return CsvFile(where, names, b"", cells, require_rows(len(cells), max_samples, where), digest, tuple(notices))
-    rows = _checked_rows(body, len(names), max_samples, where)
-    return CsvFile(where, names, body, None, rows, digest, tuple(notices))
+        mark, body = _OF_QUOTED, _without_quotes(body, where)
+    rows = _checked_rows(body, mark, len(names), max_samples, where)
+    return CsvFile(where, names, mark, body, rows, digest, tuple(notices))
 
 
 def _unpacked(content: bytes, look: Lines, where: str) -> bytes:
@@ -353,39 +334,37 @@ def _without_checks(head: bytes, names: tuple[str, ...], body: bytes, where: str
     return names[:-1], b"\n".join([*cut, b""])
 
 
-def _checked_rows(body: bytes, width: int, max_samples: int, where: str) -> int:
+def _checked_rows(body: bytes, mark: bytes, width: int, max_samples: int, where: str) -> int:
     raw = np.frombuffer(body, dtype=np.uint8)
     ends = np.flatnonzero(raw == 10)
     require_rows(ends.size, max_samples, where)
-    commas = np.flatnonzero(raw == 44)
-    wrong = np.flatnonzero(np.searchsorted(commas, ends) != np.arange(1, ends.size + 1) * (width - 1))
+    marks = np.flatnonzero(raw == ord(mark))
+    wrong = np.flatnonzero(np.searchsorted(marks, ends) != np.arange(1, ends.size + 1) * (width - 1))
     if wrong.size:
         row = int(wrong[0])
         start = 0 if row == 0 else int(ends[row - 1]) + 1
-        raise _width(row, body.count(b",", start, ends[row]) + 1, width, int(ends[row]) == start, where)
+        found = body.count(mark, start, ends[row]) + 1
+        blank = int(ends[row]) == start
+        what = "is blank" if blank else f"has {found} field{'s' if found > 1 else ''}, the header has {width}"
+        raise BadInput(f"row {row + 1} {what}", where=where, wanted="as many fields in every row as in the header")
     return int(ends.size)
 
 
-def _quoted(body: bytes, width: int, where: str) -> list[list[str]]:
+def _without_quotes(body: bytes, where: str) -> bytes:
+    """The rows with another mark between cells, which may then hold commas. Raises BadInput where quotes do not match."""
     try:
         cells = list(csv.reader(io.StringIO(body.decode("utf-8"), newline=""), strict=True))
     except csv.Error as error:
         raise BadInput(f"the quotes do not match ({error})", where=where) from None
-    for row, found in enumerate(cells):
-        if len(found) != width:
-            raise _width(row, len(found), width, not found, where)
-    return cells
+    mark = _OF_QUOTED.decode()
+    rows = [mark.join(re.sub(f"[{mark}\n]", " ", cell).strip() for cell in row) for row in cells]
+    return "\n".join([*rows, ""]).encode("utf-8")
 
 
-def _width(row: int, found: int, width: int, blank: bool, where: str) -> BadInput:
-    what = "is blank" if blank else f"has {found} field{'s' if found > 1 else ''}, the header has {width}"
-    return BadInput(f"row {row + 1} {what}", where=where, wanted="as many fields in every row as in the header")
-
-
-def _without_blanks(body: bytes) -> bytes:
+def _without_blanks(body: bytes, mark: bytes) -> bytes:
     """With nan in blank cells, which the parser does not take."""
     body = b"\n" + body
-    for before, after in ((b",", b","), (b",", b"\n"), (b"\n", b","), (b"\n", b"\n")):
+    for before, after in ((mark, mark), (mark, b"\n"), (b"\n", mark), (b"\n", b"\n")):
         while before + after in body:
             body = body.replace(before + after, before + b"nan" + after)
     return body[1:]

@@ -102,7 +102,6 @@ class NetcdfFile:
         return names
 
     def shape(self, name: str) -> tuple[int, ...]:
-        """Shape of a variable, without reading it."""
         with self._reading(f"{clip(name)} cannot be read"):
             return tuple(int(n) for n in self._file[name].shape or ())
 

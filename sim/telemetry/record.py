@@ -152,21 +152,21 @@ class Telemetry(Shown):
     @property
     def has_attitude(self) -> BoolArray:
         """(N,) True where the reference attitude is known."""
-        if self.q_NB is None:
-            return np.zeros(len(self), dtype=bool)
-        return np.asarray(np.isfinite(self.q_NB).all(axis=1), dtype=np.bool_)
+        return self._known(self.q_NB)
 
     @property
     def has_reading(self) -> BoolArray:
         """(N,) True where all three magnetometer components are finite."""
-        return np.asarray(np.isfinite(self.mag_B_nT).all(axis=1), dtype=np.bool_)
+        return self._known(self.mag_B_nT)
 
     @property
     def has_position(self) -> BoolArray:
         """(N,) True where the position is known."""
-        if self.r_N_km is None:
-            return np.zeros(len(self), dtype=bool)
-        return np.asarray(np.isfinite(self.r_N_km).all(axis=1), dtype=np.bool_)
+        return self._known(self.r_N_km)
+
+    def _known(self, value: FloatArray | None) -> BoolArray:
+        known = np.zeros(len(self)) if value is None else np.isfinite(value).all(axis=1)
+        return np.asarray(known, dtype=bool)
 
     @classmethod
     def from_pandas(cls, frame: Any) -> Telemetry:

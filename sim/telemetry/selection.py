@@ -67,7 +67,6 @@ class Selection:
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """The columns that the condition asks for."""
         return () if self.condition is None else self.condition.columns
 
     @property

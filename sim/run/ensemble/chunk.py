@@ -23,7 +23,6 @@ from fluxtwin.sim.base.netcdf_out import Variable, write_netcdf
 from fluxtwin.sim.base.types import FloatArray, TimeArray
 from fluxtwin.sim.run.ensemble.figures import Around, around, figures, series
 from fluxtwin.sim.run.ensemble.plan import Plan
-from fluxtwin.sim.run.flights import forget_flights
 from fluxtwin.sim.run.simulate import simulate
 from fluxtwin.sim.scenario.scenario import Scenario
 from fluxtwin.sim.telemetry.netcdf_files import TIME_UNITS, NetcdfFile
@@ -49,7 +48,6 @@ class Chunk:
     notices: list[str] = field(default_factory=list)
 
     def put(self, row: int, kept: Mapping[str, FloatArray], found: Mapping[str, float]) -> None:
-        """Set the row of one vehicle."""
         for name, column in kept.items():
             whole = self.series.setdefault(name, np.full((len(self.members), *column.shape), np.nan, dtype=np.float32))
             whole[row] = column
@@ -79,7 +77,6 @@ class Flyer:
                     made.put(row, kept, figures(scenario, kept, truth))
                 except BadInput as error:
                     made.lost[vehicle] = str(error)
-                forget_flights()
         made.notices = list(dict.fromkeys(str(one.message) for one in caught))
         return made
 
@@ -96,9 +93,9 @@ def chunk_path(folder: Path, number: int) -> Path:
     return folder / f"chunk-{number:05d}.nc"
 
 
-def check_chunk(record: Mapping[str, Any], number: int) -> list[dict[str, Any]]:
-    """The rows of a chunk of a recorded plan, every vehicle checked, for a process anywhere."""
-    return _flyer(json.dumps(record)).plan.checked(number)
+def check_chunk(record: Mapping[str, Any], number: int) -> None:
+    """Check every vehicle of a chunk of a recorded plan, for a process anywhere. Raises BadInput for one that cannot be."""
+    _flyer(json.dumps(record)).plan.check(number)
 
 
 def fly_chunk(record: Mapping[str, Any], folder: str | None, number: int) -> dict[str, Any]:

@@ -78,16 +78,12 @@ def flattened(values: Mapping[str, Any]) -> dict[str, Any]:
 def _value(draw: DrawSection, value: Any, rng: np.random.Generator, key: str) -> Any:
     if draw.kind == "choice":
         return draw.given[int(rng.integers(len(draw.given)))]
-    uniform = _open_uniform(rng, np.shape(value))
+    # never 0 or 1, whose quantiles may be infinite
+    uniform = np.asarray((rng.integers(2**_BITS, size=np.shape(value)) + 0.5) * 2.0**-_BITS, dtype=np.float64)
     drawn = quantile(draw, np.asarray(value, dtype=np.float64), uniform, where=f"draws.{key}")
     if key in SYMMETRIC:
         drawn = np.triu(drawn) + np.triu(drawn, 1).T
     return as_tuple(drawn.tolist())
-
-
-def _open_uniform(rng: np.random.Generator, shape: tuple[int, ...]) -> FloatArray:
-    """Uniform in (0, 1), never an end."""
-    return np.asarray((rng.integers(2**_BITS, size=shape) + 0.5) * 2.0**-_BITS, dtype=np.float64)
 
 
 def quantile(draw: DrawSection, value: FloatArray, uniform: FloatArray, *, where: str = "draws") -> FloatArray:

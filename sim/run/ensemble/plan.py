@@ -51,7 +51,6 @@ class Plan:
         return -(-self.vehicles // self.in_chunk)
 
     def members(self, number: int) -> range:
-        """The vehicles of a chunk."""
         return range(number * self.in_chunk, min((number + 1) * self.in_chunk, self.vehicles))
 
     def vehicle(self, number: int) -> Scenario:
@@ -64,24 +63,12 @@ class Plan:
 
     def row(self, number: int) -> dict[str, Any]:
         """Number, seed and what was drawn, as the table of vehicles has it."""
-        found = self._rows.get(number)
-        return found or {"vehicle": number, "seed": vehicle_seed(self.seed, number), **flattened(self.drawn(number))}
+        return {"vehicle": number, "seed": vehicle_seed(self.seed, number), **flattened(self.drawn(number))}
 
-    def checked(self, number: int) -> list[dict[str, Any]]:
-        """The rows of a chunk's vehicles. Raises BadInput for one that cannot be."""
+    def check(self, number: int) -> None:
+        """Raises BadInput for a vehicle of a chunk that cannot be."""
         for vehicle in self.members(number):
             self.vehicle(vehicle)
-        return [self.row(vehicle) for vehicle in self.members(number)]
-
-    def remember(self, rows: list[dict[str, Any]]) -> None:
-        """Rows that are at hand, as long as there is room for them."""
-        if len(self._rows) < _REMEMBERED:
-            self._rows.update((row["vehicle"], row) for row in rows)
-
-    @cached_property
-    def _rows(self) -> dict[int, dict[str, Any]]:
-        """By vehicle: the table is written before the flights and after them."""
-        return {}
 
     @cached_property
     def _drawn(self) -> Callable[[int], dict[str, Any]]:
@@ -109,7 +96,6 @@ class Plan:
 
     @classmethod
     def from_record(cls, record: Mapping[str, Any]) -> Plan:
-        """The plan of a record."""
         scenario = parse_scenario(record["scenario"], folder=record["folder"])
         return cls(scenario, int(record["seed"]), int(record["vehicles"]), int(record["vehicles_in_chunk"]))
 

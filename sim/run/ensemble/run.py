@@ -77,8 +77,7 @@ def fly_ensemble(
     record = plan.record()
     with team(len(todo), jobs=jobs, scheduler=scheduler, executor=executor) as ask:
         progress(f"checking {plan.vehicles} vehicles", 0.0)
-        for rows in ask(chunk.check_chunk, [(record, number) for number in todo]):
-            plan.remember(rows)
+        list(ask(chunk.check_chunk, [(record, number) for number in todo]))
         _begin(plan, folder)
         _keep(plan, folder, todo, ask(chunk.fly_chunk, [(record, place, number) for number in todo]), progress)
     progress("tables", 0.98)

@@ -41,6 +41,7 @@ def fly_arcs(
     stage, trial = np.zeros(STAGE_SIZE), np.empty(_SIZE)
     slope, total = np.empty(_SIZE), np.empty(_SIZE)
     parts = (around.shape[2] - 1) // 2
+    body = inverse, packed, slots
     for a in range(state.shape[0]):
         for row in range(around.shape[1]):
             h = step_s[a, row]
@@ -53,17 +54,8 @@ def fly_arcs(
                     at = 2 * number + (order + 1) // 2
                     for k in range(_SIZE):
                         trial[k] = state[a, k] + reach * slope[k]
-                    _slope(
-                        trial,
-                        inverse,
-                        packed,
-                        slots,
-                        around[a, row, at],
-                        wheels[row, at, a],
-                        dipole[row, at, a],
-                        stage,
-                        slope,
-                    )
+                    given = around[a, row, at], wheels[row, at, a], dipole[row, at, a]
+                    _slope(trial, body, given, stage, slope)
                     for k in range(_SIZE):
                         total[k] += weight * slope[k]
                 for k in range(_SIZE):
@@ -71,18 +63,10 @@ def fly_arcs(
 
 
 @part(**PART)
-def _slope(
-    state: FloatArray,
-    inverse: FloatArray,
-    packed: FloatArray,
-    slots: Any,
-    around: FloatArray,
-    wheels: FloatArray,
-    dipole: FloatArray,
-    stage: FloatArray,
-    slope: FloatArray,
-) -> None:
+def _slope(state: FloatArray, body: Any, given: Any, stage: FloatArray, slope: FloatArray) -> None:
     """-[w x] R and R^T torque; J w is the momentum less that of the wheels."""
+    inverse, packed, slots = body
+    around, wheels, dipole = given
     for k in range(9):
         stage[ROTATION + k] = state[k]
     for k in range(_SURROUNDINGS):

@@ -14,7 +14,9 @@ is called where its parameters are present (packed[slot] is where they begin, 0 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
 from math import cos, sin, sqrt
+from types import FunctionType
 from typing import Any
 
 import numpy as np
@@ -58,11 +60,19 @@ _CURIOUS = tuple(t.needs_field or t.needs_sun or t.needs_air for t in TORQUES)
 _TORQUERS = [torque.name for torque in TORQUES].index("torquers")
 
 
+@cache
+def _compiled(function: FunctionType) -> Any:
+    """A plain function for the kernels, and with it those that it calls."""
+    called = [name for name in function.__code__.co_names if isinstance(function.__globals__.get(name), FunctionType)]
+    inner = {name: _compiled(function.__globals__[name]) for name in called}
+    return part(**PART)(FunctionType(function.__code__, function.__globals__ | inner))
+
+
 def _chain(functions: Sequence[Any], slot: int) -> Any:
     """One function that calls, of these, each one whose parameters are present; compiled, every call is direct."""
     if not functions:
         return part()(lambda slots, packed, *rest: None)
-    first, following = part(**PART)(functions[0]), _chain(functions[1:], slot + 1)
+    first, following = _compiled(functions[0]), _chain(functions[1:], slot + 1)
 
     @part(**PART)
     def run(slots: Any, packed: Any, *rest: Any) -> None:
@@ -75,7 +85,8 @@ def _chain(functions: Sequence[Any], slot: int) -> Any:
 
 torque_chain = _chain([torque.add for torque in TORQUES], 0)
 _decide = _chain([law.decide for law in CONTROLS], _LAWS)
-_drive = part(**PART)(torques.drive)
+_drive = _compiled(torques.drive)
+_to_body = _compiled(layout.to_body)
 
 
 @kernel(uses=PARTS, nogil=True, **OPTIONS)
@@ -108,9 +119,10 @@ def fly(
     """
     count = wheels.shape[0]
     state, stage = start.copy(), np.zeros(STAGE_SIZE)
-    slope, total = np.empty(6 + count), np.empty(6 + count)
     motor, memory, reading = np.zeros(count), np.zeros(MEMORY_SIZE), np.empty(READING_SIZE)
-    carry, command, trial = np.zeros(4), np.empty(COMMAND_SIZE), np.empty(7 + count)
+    command = np.empty(COMMAND_SIZE)
+    body = wheels, inverse, packed, slots, motor
+    work = np.zeros(4), np.empty(7 + count), stage, np.empty(6 + count), np.empty(6 + count)
     inner, steered, acted = 3, False, slots[_TORQUERS] > 0 or count > 0
     for slot in range(slots.shape[0]):
         if slots[slot] > 0:
@@ -131,31 +143,12 @@ def fly(
             if steered:
                 _see(knowledge, target, compass, wheels, state, stage, reading)
                 _decide(slots, packed, reading, memory, command)
-            _act(packed, slots, dipoles, share, wheels, state, reading, command, stage, motor)
+            _act(dipoles, share, body, state, reading, command, stage)
         if i == row * every[1]:
             _log(state, wheels, stage, out[row])
             row += 1
         if i < steps:
-            half, end = (sub + 0.5) / substeps, (sub + 1.0) / substeps
-            _step(
-                nodes,
-                node,
-                half,
-                end,
-                inner,
-                wheels,
-                inverse,
-                packed,
-                slots,
-                motor,
-                step_s,
-                state,
-                carry,
-                trial,
-                stage,
-                slope,
-                total,
-            )
+            _step(nodes, node, (sub + 0.5) / substeps, (sub + 1.0) / substeps, inner, body, step_s, state, work)
             sub += 1
             if sub == substeps:
                 node, sub = node + 1, 0
@@ -168,26 +161,21 @@ def _step(
     half: float,
     end: float,
     inner: int,
-    wheels: FloatArray,
-    inverse: FloatArray,
-    packed: FloatArray,
-    slots: Any,
-    motor: FloatArray,
+    body: Any,
     step_s: float,
     state: FloatArray,
-    carry: FloatArray,
-    trial: FloatArray,
-    stage: FloatArray,
-    slope: FloatArray,
-    total: FloatArray,
+    work: Any,
 ) -> None:
     """One step of order four; slope and total hold the rotation vector's rate, the torque in N, the wheels'.
 
     half, end: where between `node` and the next the middle and the end of the step lie. inner: how many columns of the
-    surroundings are wanted in the middle.
+    surroundings are wanted in the middle. body: wheels, inverse, packed, slots as of `fly`, and the motors' torques. work:
+    the rounding that is carried on, and arrays to write in.
     """
+    wheels, inverse, _, _, _ = body
+    carry, trial, stage, slope, total = work
     count = wheels.shape[0]
-    _slope(0.0, 0.0, 0.0, wheels, packed, slots, motor, stage, state, slope)
+    _slope(0.0, 0.0, 0.0, body, stage, state, slope)
     ax, ay, az, hx, hy, hz = slope[0], slope[1], slope[2], slope[3], slope[4], slope[5]
     for j in range(count):
         total[j] = slope[6 + j]
@@ -208,7 +196,7 @@ def _step(
         _begin(trial, wheels, inverse, stage)
         if inner > 3:
             _feel(stage)
-        _slope(x, y, z, wheels, packed, slots, motor, stage, trial, slope)
+        _slope(x, y, z, body, stage, trial, slope)
         ax, ay, az = ax + weight * slope[0], ay + weight * slope[1], az + weight * slope[2]
         hx, hy, hz = hx + weight * slope[3], hy + weight * slope[4], hz + weight * slope[5]
         for j in range(count):
@@ -254,28 +242,9 @@ def _feel(stage: FloatArray) -> None:
 
 
 @part(**PART)
-def _to_body(stage: FloatArray, x: float, y: float, z: float) -> tuple[float, float, float]:
-    return (
-        stage[ROTATION] * x + stage[ROTATION + 1] * y + stage[ROTATION + 2] * z,
-        stage[ROTATION + 3] * x + stage[ROTATION + 4] * y + stage[ROTATION + 5] * z,
-        stage[ROTATION + 6] * x + stage[ROTATION + 7] * y + stage[ROTATION + 8] * z,
-    )
-
-
-@part(**PART)
-def _slope(
-    x: float,
-    y: float,
-    z: float,
-    wheels: FloatArray,
-    packed: FloatArray,
-    slots: Any,
-    motor: FloatArray,
-    stage: FloatArray,
-    state: FloatArray,
-    slope: FloatArray,
-) -> None:
+def _slope(x: float, y: float, z: float, body: Any, stage: FloatArray, state: FloatArray, slope: FloatArray) -> None:
     """Rates of the rotation vector (which stands at x, y, z), of the momentum in N, and of the wheels' momenta."""
+    wheels, _, packed, slots, motor = body
     wx, wy, wz = stage[RATE], stage[RATE + 1], stage[RATE + 2]
     cx, cy, cz = y * wz - z * wy, z * wx - x * wz, x * wy - y * wx
     slope[0] = wx + 0.5 * cx + (y * cz - z * cy) * _TWELFTH
@@ -453,18 +422,16 @@ def _orbital_frame(stage: FloatArray) -> Any:
 
 @part(**PART)
 def _act(
-    packed: FloatArray,
-    slots: Any,
     dipoles: FloatArray,
     share: FloatArray,
-    wheels: FloatArray,
+    body: Any,
     state: FloatArray,
     reading: FloatArray,
     command: FloatArray,
     stage: FloatArray,
-    motor: FloatArray,
 ) -> None:
     """What torquers and wheels make of the command until the next tick."""
+    wheels, _, packed, slots, motor = body
     tick = int(reading[layout.TICK])
     if slots[_TORQUERS] > 0:
         _drive(packed, slots[_TORQUERS], command)

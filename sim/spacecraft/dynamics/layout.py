@@ -7,6 +7,8 @@ hold any number of torques and laws. SI units inside: m, m/s, T, rad/s, A m2, N 
 
 from __future__ import annotations
 
+from fluxtwin.sim.base.types import FloatArray
+
 # A stage. R_BN stands row by row, so v_B[i] = sum_j stage[ROTATION + 3 i + j] v_N[j].
 ROTATION = 0
 RATE = 9
@@ -63,3 +65,28 @@ WHEEL_INERTIA = 3
 WHEEL_SIZE = 8
 COULOMB_SPEED_RAD_S = 1.0
 """Coulomb friction passes smoothly through zero within this speed, so that the integrator meets no jump."""
+
+
+def to_body(stage: FloatArray, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """Components in B of a vector in N."""
+    return (
+        stage[ROTATION] * x + stage[ROTATION + 1] * y + stage[ROTATION + 2] * z,
+        stage[ROTATION + 3] * x + stage[ROTATION + 4] * y + stage[ROTATION + 5] * z,
+        stage[ROTATION + 6] * x + stage[ROTATION + 7] * y + stage[ROTATION + 8] * z,
+    )
+
+
+def symmetric(packed: FloatArray, at: int, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """A symmetric matrix, packed as xx yy zz xy xz yz, times a vector."""
+    return (
+        packed[at] * x + packed[at + 3] * y + packed[at + 4] * z,
+        packed[at + 3] * x + packed[at + 1] * y + packed[at + 5] * z,
+        packed[at + 4] * x + packed[at + 5] * y + packed[at + 2] * z,
+    )
+
+
+def add_cross(stage: FloatArray, ax: float, ay: float, az: float, bx: float, by: float, bz: float) -> None:
+    """Add a x b to the torque."""
+    stage[TORQUE] += ay * bz - az * by
+    stage[TORQUE + 1] += az * bx - ax * bz
+    stage[TORQUE + 2] += ax * by - ay * bx

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import astuple, dataclass, field
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -12,6 +12,7 @@ from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.spacecraft.control import CONTROLS, Control
 from fluxtwin.sim.spacecraft.dynamics import layout
+from fluxtwin.sim.spacecraft.sensors.magnetometer import Magnetometer
 from fluxtwin.sim.spacecraft.torques import TORQUES, Torque
 
 
@@ -31,16 +32,8 @@ class Wheel:
 
     @property
     def row(self) -> list[float]:
-        """As the kernel has it."""
         axis = np.asarray(self.axis_B, dtype=np.float64) / np.linalg.norm(self.axis_B)
-        return [
-            *axis.tolist(),
-            self.inertia_kg_m2,
-            self.max_speed_rad_s,
-            self.max_torque_Nm,
-            self.viscous_Nm_s,
-            self.coulomb_Nm,
-        ]
+        return [*axis.tolist(), *astuple(self)[1:]]
 
 
 @dataclass(frozen=True)
@@ -61,22 +54,7 @@ class Target:
         return [float(self.frame == "inertial"), *self.attitude.as_matrix().ravel(), *(axis / np.linalg.norm(axis))]
 
 
-@dataclass(frozen=True)
-class Compass:
-    """The magnetometer that the control law reads, with S and b of equation 1; the default is perfect."""
-
-    S: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
-    b_nT: FloatArray = field(default_factory=lambda: np.zeros(3))
-
-    def __post_init__(self) -> None:
-        if not np.linalg.cond(np.eye(3) + np.asarray(self.S, dtype=np.float64)) < 1e6:
-            raise BadInput("I + S cannot be inverted", where="magnetometer S", wanted="small elements")
-
-    @property
-    def row(self) -> list[float]:
-        """As the kernel has it: the matrix from field to reading, row by row, and what is added [T]."""
-        matrix = np.linalg.inv(np.eye(3) + np.asarray(self.S, dtype=np.float64))
-        return [*matrix.ravel(), *(-1e-9 * matrix @ np.asarray(self.b_nT, dtype=np.float64))]
+PERFECT = Magnetometer(np.zeros((3, 3)), np.zeros(3))
 
 
 @dataclass(frozen=True)
@@ -89,7 +67,8 @@ class Vehicle:
     torques: tuple[Torque, ...] = ()
     control: Control | None = None
     target: Target = field(default_factory=Target)
-    compass: Compass = field(default_factory=Compass)
+    compass: Magnetometer = PERFECT
+    """What the law reads: S and b of it."""
 
     def __post_init__(self) -> None:
         principal_axes(self.inertia_kg_m2)
@@ -106,8 +85,13 @@ class Vehicle:
 
     @property
     def wheel_rows(self) -> FloatArray:
-        """(W, WHEEL_SIZE)."""
         return np.array([wheel.row for wheel in self.wheels], dtype=np.float64).reshape(-1, layout.WHEEL_SIZE)
+
+    @property
+    def compass_row(self) -> list[float]:
+        """As the kernel has it: the matrix from field to reading, row by row, and what is added [T]."""
+        matrix = np.linalg.inv(np.eye(3) + self.compass.S)
+        return [*matrix.ravel(), *(-1e-9 * matrix @ self.compass.b_nT)]
 
     @property
     def share(self) -> FloatArray:
@@ -118,8 +102,6 @@ class Vehicle:
     def packed(self) -> tuple[FloatArray, np.ndarray]:
         """Parameters of torques and law in one row, and where each begins (0: absent), as `kernels.fly` has them."""
         parts: dict[str, list[float]] = {t.name: t.packed(self.inertia_kg_m2) for t in self.torques}
-        if len(parts) < len(self.torques):
-            raise BadInput("a torque is listed twice", where="torques")
         if self.control is not None:
             parts[self.control.name] = self.control.packed(self.inertia_kg_m2)
         row, slots = [0.0], []

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Self
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -35,19 +33,11 @@ class Surroundings:
 
 
 class SensorSection(Section):
-    """Base of the sensors. Each is a frozen record, checked as the section [NAME] of a scenario, or as [NAME.1],
-    [NAME.2], ... where a vehicle has several heads of it."""
+    """Base of the sensors. Each is a frozen record, checked as the section [NAME] of a scenario."""
 
     def measure(self, around: Surroundings, rng: np.random.Generator) -> dict[str, FloatArray]:
         """Columns of the telemetry by name, each (N,) or (N, k), NaN where it measures nothing.
 
         A sensor that gives the reference attitude has the column `q_NB`.
         """
-        raise NotImplementedError
-
-    @classmethod
-    def measure_with(
-        cls, heads: Mapping[str, Self], around: Surroundings, rng: np.random.Generator
-    ) -> dict[str, FloatArray]:
-        """The same of all its heads, by number."""
         raise NotImplementedError

@@ -8,11 +8,11 @@ import numpy as np
 
 from fluxtwin.sim.base.section_types import Section
 from fluxtwin.sim.base.types import FloatArray
-from fluxtwin.sim.spacecraft.sensors.base import Surroundings
+from fluxtwin.sim.spacecraft.sensors.base import SensorSection, Surroundings
 from fluxtwin.sim.spacecraft.sensors.gyro import GyroSection
 from fluxtwin.sim.spacecraft.sensors.horizon_scanner import HorizonScannerSection
 from fluxtwin.sim.spacecraft.sensors.star_tracker import StarTrackerSection
-from fluxtwin.sim.spacecraft.sensors.sun_sensor import SunSensorSection
+from fluxtwin.sim.spacecraft.sensors.sun_sensor import SunSensorSection, measure_heads
 
 
 class SensorSections(Section):
@@ -28,8 +28,8 @@ class SensorSections(Section):
         columns: dict[str, FloatArray] = {}
         for name in SensorSections.model_fields:
             fitted = getattr(self, name)
-            if isinstance(fitted, dict) and fitted:
-                columns |= type(next(iter(fitted.values()))).measure_with(fitted, around, stream(name))
-            elif fitted:
+            if isinstance(fitted, SensorSection):
                 columns |= fitted.measure(around, stream(name))
+            elif fitted:
+                columns |= measure_heads(fitted, around, stream(name))
         return columns

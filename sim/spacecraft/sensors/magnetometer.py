@@ -34,23 +34,8 @@ class Magnetometer:
     the nearest step may lie up to half an LSB beyond."""
 
     def __post_init__(self) -> None:
-        for name, shape in (("S", (3, 3)), ("b_nT", (3,)), ("T_nT_per_Am2", (3, 3))):
-            value = getattr(self, name)
-            if value is None:
-                continue
-            array = np.array(value, dtype=np.float64)
-            if array.shape != shape or not np.isfinite(array).all():
-                raise BadInput(f"shape {array.shape}", where=f"magnetometer {name}", wanted=f"finite, {shape}")
-            array.setflags(write=False)
-            object.__setattr__(self, name, array)
         if not np.linalg.cond(np.eye(3) + self.S) < 1e6:
             raise BadInput("I + S cannot be inverted", where="magnetometer S", wanted="small elements")
-        if not (self.noise_nT >= 0 and self.lsb_nT >= 0) or not (self.range_nT is None or self.range_nT > 0):
-            raise BadInput(
-                f"noise {self.noise_nT} nT, LSB {self.lsb_nT} nT, range {self.range_nT} nT",
-                where="magnetometer",
-                wanted="noise and LSB >= 0, range > 0",
-            )
 
     def ideal_reading(self, field_B_nT: FloatArray, dipole_B_Am2: FloatArray | None = None) -> FloatArray:
         """Reading (N, 3) without noise, saturation and rounding: equation 1 solved for B.

@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 from fluxtwin.sim.attitude.gauss_markov import gauss_markov
 from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
 from fluxtwin.sim.earth import frames
+from fluxtwin.sim.earth.references import triad_matrices
 
 _LEAST_SEPARATION_RAD = np.radians(3.0)
 
@@ -34,21 +35,14 @@ def attitude_from_sun_and_nadir(
     (N, 3); lengths do not matter. Rows are NaN where a vector is NaN, or where sun and nadir, or their
     opposites, are less than three degrees apart in either frame: there the turn is not known.
     """
-    B, known_B = _triad(nadir_B, sun_B)
-    N, known_N = _triad(nadir_N, sun_N)
-    q = frames.q_from_rotation(Rotation.from_matrix(np.swapaxes(B, 1, 2) @ N))
-    q[~(known_B & known_N)] = np.nan
+    q, known = np.full((len(sun_B), 4), np.nan), _apart(nadir_B, sun_B) & _apart(nadir_N, sun_N)
+    if known.any():
+        B, N = triad_matrices(nadir_B[known], sun_B[known]), triad_matrices(nadir_N[known], sun_N[known])
+        q[known] = frames.q_from_rotation(Rotation.from_matrix(np.swapaxes(B, 1, 2) @ N))
     return q
 
 
-def _triad(first: FloatArray, second: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """Matrices (N, 3, 3) whose rows are the triad of two vectors; identity where they do not make one."""
-    a = np.atleast_2d(np.asarray(first, dtype=np.float64))
-    b = np.atleast_2d(np.asarray(second, dtype=np.float64))
-    across = np.cross(a, b)
-    size_a, size_b, size = (np.linalg.norm(v, axis=1) for v in (a, b, across))
-    with np.errstate(invalid="ignore"):
-        known: BoolArray = size > np.sin(_LEAST_SEPARATION_RAD) * size_a * size_b
-    x = np.where(known[:, None], a / np.where(known, size_a, 1.0)[:, None], [1.0, 0.0, 0.0])
-    y = np.where(known[:, None], across / np.where(known, size, 1.0)[:, None], [0.0, 1.0, 0.0])
-    return np.stack([x, y, np.cross(x, y)], axis=1), known
+def _apart(first: FloatArray, second: FloatArray) -> BoolArray:
+    """(N,) whether two vectors (N, 3) make a triad."""
+    size, size_first, size_second = (np.linalg.norm(v, axis=1) for v in (np.cross(first, second), first, second))
+    return np.asarray(size > np.sin(_LEAST_SEPARATION_RAD) * size_first * size_second)

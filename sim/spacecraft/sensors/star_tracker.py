@@ -53,7 +53,6 @@ class StarTrackerSection(SensorSection):
         return np.asarray(np.asarray(self.boresight_B) / np.linalg.norm(self.boresight_B))
 
     def sees(self, around: Surroundings) -> BoolArray:
-        """(N,) True where it sees stars."""
         boresight = self._unit_B
         boresight_N = around.R_BN.inv().apply(boresight)
         from_sun = frames.angle_between(boresight_N, around.sun_N)

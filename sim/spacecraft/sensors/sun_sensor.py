@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Annotated, Self
+from typing import Annotated
 
 import numpy as np
 from pydantic import Field
@@ -35,18 +35,8 @@ class SunSensorSection(SensorSection):
     misalignment_deg: Vector3 = ZERO3
     """The head is turned from its nominal mounting by this rotation vector (right-handed, body axes)."""
 
-    @classmethod
-    def measure_with(
-        cls, heads: Mapping[str, Self], around: Surroundings, rng: np.random.Generator
-    ) -> dict[str, FloatArray]:
-        """sun_B (N, 3) unit vectors in body axes, and the number of the head in use (N,)."""
-        numbered = [(int(number), heads[number]) for number in sorted(heads, key=int)]
-        number, sun_B = measure_sun(numbered, around.R_BN.apply(around.sun_N), around.illumination, rng)
-        return {"sun_sensor_head": number, "sun_B": sun_B}
-
     @property
     def boresight_B(self) -> FloatArray:
-        """(3,) unit vector."""
         azimuth, elevation = np.radians(self.azimuth_deg), np.radians(self.elevation_deg)
         flat = np.cos(elevation)
         z = np.array([flat * np.cos(azimuth), flat * np.sin(azimuth), -np.sin(elevation)])
@@ -54,7 +44,6 @@ class SunSensorSection(SensorSection):
 
     @property
     def R_HB(self) -> Rotation:
-        """Body to nominal head axes."""
         azimuth, z = np.radians(self.azimuth_deg), self.boresight_B
         y = np.cross(z, [-np.sin(azimuth), np.cos(azimuth), 0.0])
         y = y / np.linalg.norm(y)
@@ -88,6 +77,15 @@ class SunSensorSection(SensorSection):
         x, y = np.tan(angles).T
         sun_H = np.stack([x, y, np.ones_like(x)], axis=1)
         return np.asarray(np.atleast_2d(self.R_HB.inv().apply(sun_H / np.linalg.norm(sun_H, axis=1)[:, None])))
+
+
+def measure_heads(
+    heads: Mapping[str, SunSensorSection], around: Surroundings, rng: np.random.Generator
+) -> dict[str, FloatArray]:
+    """sun_B (N, 3) unit vectors in body axes, and the number of the head in use (N,); heads: by their numbers."""
+    numbered = [(int(number), heads[number]) for number in sorted(heads, key=int)]
+    number, sun_B = measure_sun(numbered, around.R_BN.apply(around.sun_N), around.illumination, rng)
+    return {"sun_sensor_head": number, "sun_B": sun_B}
 
 
 def measure_sun(

@@ -26,6 +26,8 @@ class Format:
     endings: tuple[str, ...]
     module: str
     """Its module in this folder, imported when it is used."""
+    suffix: str = ""
+    """Of the names of its functions there, where the module has several formats."""
     writes: bool = False
     sheets: bool = False
     option: str = ""
@@ -46,13 +48,13 @@ class Format:
         return written
 
     def _function(self, name: str) -> Callable[..., Any]:
-        found: Callable[..., Any] = getattr(import_module(f"{_HERE}.{self.module}"), name)
+        found: Callable[..., Any] = getattr(import_module(f"{_HERE}.{self.module}"), name + self.suffix)
         return found
 
 
 FORMATS = (
-    Format("CCSDS attitude ephemeris (AEM, KVN)", (".aem",), "aem", writes=True, option="--attitude"),
-    Format("CCSDS orbit ephemeris (OEM, KVN)", (".oem",), "oem", writes=True, option="--tle"),
+    Format("CCSDS attitude ephemeris (AEM, KVN)", (".aem",), "ccsds", "_aem", writes=True, option="--attitude"),
+    Format("CCSDS orbit ephemeris (OEM, KVN)", (".oem",), "ccsds", "_oem", writes=True, option="--tle"),
     Format("CDF", (".cdf",), "cdf"),
     Format("Excel workbook", (".xlsx",), "xlsx", writes=True, sheets=True),
     Format("Parquet", (".parquet",), "parquet", writes=True),

@@ -1,4 +1,4 @@
-"""What CCSDS attitude and orbit ephemerides in KVN share: header, segments, time systems, frames.
+"""CCSDS attitude and orbit ephemeris messages (AEM, OEM) as KVN: quaternions, positions and velocities at epochs.
 
 Sources: CCSDS 504.0-B-1 and B-2 (attitude data messages), 502.0-B-2 and B-3 (orbit data messages).
 """
@@ -15,12 +15,12 @@ import numpy as np
 
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.files import escaped, write_text
-from fluxtwin.sim.base.limits import Lines, require_rows
+from fluxtwin.sim.base.limits import MAX_SAMPLES, Lines, require_rows
 from fluxtwin.sim.base.seals import require_sealed, sealed
 from fluxtwin.sim.base.types import FloatArray, TimeArray
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.telemetry.columns import clip
-from fluxtwin.sim.telemetry.formats.table import content_of
+from fluxtwin.sim.telemetry.formats.table import Table, content_of
 from fluxtwin.sim.telemetry.record import Telemetry, plain_text
 from fluxtwin.sim.telemetry.time_stamps import format_iso
 
@@ -29,6 +29,11 @@ _SCALES = {"UTC": "UTC", "TAI": "TAI", "GPS": "GPS", "TT": "TT", "TDB": "TT", "T
 """Time systems, TDB as TT, which it follows within 2 ms."""
 _DAY_OF_YEAR = re.compile(r"\d{4}-\d{3}(T.*)?")
 _GAP_STEPS = 10.0
+_BODY = ("SC_BODY", "SC_FRAME", "BODY")
+"""How the names of a spacecraft's own axes begin."""
+_TYPES = ("QUATERNION", "QUATERNION/DERIVATIVE", "QUATERNION/RATE", "QUATERNION/ANGVEL")
+_CHOICES = (("QUATERNION_TYPE", ("LAST", "FIRST")), ("ATTITUDE_DIR", ("A2B", "B2A")))
+"""Of version 1; the first is what version 2 means."""
 
 Row: TypeAlias = list[float]
 """Numbers behind an epoch, in the units of the message."""
@@ -50,6 +55,64 @@ class Message:
     version: str
     sha256: str
     segments: list[Segment]
+
+
+def read_aem(path: Path, max_samples: int = MAX_SAMPLES) -> Table:
+    """Columns `time`, `q_x q_y q_z q_w`: the textbook quaternion of the body relative to the attribute `frame`.
+
+    Version 1 states the direction and whether the scalar is first; version 2 is from A to B, scalar last. Raises BadInput
+    for other attitude types, and for frames that differ between segments or are not known.
+    """
+    message = read_message(path, "AEM", 4, max_samples)
+    where = str(path)
+    parts = [_attitude(one, where) for one in message.segments]
+    frames = {frame for frame, _ in parts}
+    if len(frames) > 1:
+        raise BadInput(f"its segments are relative to {', '.join(sorted(frames))}", where=where, wanted="one frame")
+    time = np.concatenate([times(one, where) for one in message.segments])
+    q = np.concatenate([value for _, value in parts])
+    time, first = np.unique(time, return_index=True)  # segments may share their ends
+    columns = dict(zip(("q_x", "q_y", "q_z", "q_w"), q[first].T, strict=True))
+    attributes = {"frame": frames.pop(), "spacecraft": message.segments[0].meta.get("OBJECT_NAME", "")}
+    return Table(where, {"time": time, **columns}, {}, attributes, sha256=message.sha256)
+
+
+def write_aem(telemetry: Telemetry, path: Path | str) -> Path:
+    """The reference attitude, from GCRF to SC_BODY_1, version 2. Raises BadInput where there is none."""
+    q = np.full((len(telemetry), 4), np.nan) if telemetry.q_NB is None else np.array(telemetry.q_NB)
+    frames = [("REF_FRAME_A", "GCRF"), ("REF_FRAME_B", "SC_BODY_1")]
+    return write_message(telemetry, path, "AEM", frames, q, after=[("ATTITUDE_TYPE", "QUATERNION")])
+
+
+def read_oem(path: Path, max_samples: int = MAX_SAMPLES) -> Table:
+    """Columns `time`, `x`, `y`, `z` [km], `vx`, `vy`, `vz` [km/s]; attribute `frame`, the same in all segments."""
+    message = read_message(path, "OEM", 6, max_samples)
+    where = str(path)
+    frames = {frame_of(one, "REF_FRAME", where) for one in message.segments}
+    centres = {one.meta.get("CENTER_NAME", "EARTH").upper() for one in message.segments}
+    if len(frames) > 1 or centres != {"EARTH"}:
+        found = ", ".join(sorted(frames) if len(frames) > 1 else sorted(centres))
+        raise BadInput(f"its segments are in {found}", where=where, wanted="one frame with the Earth at its centre")
+    time = np.concatenate([times(one, where) for one in message.segments])
+    values = np.array([row[:6] for one in message.segments for row in one.rows])
+    time, first = np.unique(time, return_index=True)  # segments may share their ends
+    columns = dict(zip(("x", "y", "z", "vx", "vy", "vz"), values[first].T, strict=True))
+    units = dict.fromkeys(("x", "y", "z"), "km") | dict.fromkeys(("vx", "vy", "vz"), "km/s")
+    attributes = {"frame": frames.pop(), "spacecraft": message.segments[0].meta.get("OBJECT_NAME", "")}
+    return Table(where, {"time": time, **columns}, units, attributes, sha256=message.sha256)
+
+
+def write_oem(telemetry: Telemetry, path: Path | str) -> Path:
+    """Positions and velocities in GCRF. Raises BadInput where there are none."""
+    from fluxtwin.sim.telemetry.build import velocity_from_positions
+
+    r = telemetry.r_N_km
+    if r is None:
+        where = telemetry.provenance.get("source", "telemetry")
+        raise BadInput("has no positions", where=where, wanted="positions (columns, or --tle) for an OEM")
+    v = telemetry.v_N_km_s
+    v = velocity_from_positions(telemetry.time, r) if v is None else v
+    return write_message(telemetry, path, "OEM", [("REF_FRAME", "GCRF")], np.hstack([r, v]))
 
 
 def read_message(path: Path, kind: str, width: int, max_samples: int) -> Message:
@@ -191,3 +254,31 @@ def _stamp(text: str, where: str) -> np.datetime64:
             raise BadInput(f"{text!r} is no day of that year", where=where, wanted="days 001 to 365 or 366")
         text = f"{day}{text[8:]}"
     return epoch.parse_time(text, where=where)
+
+
+def _attitude(segment: Segment, where: str) -> tuple[str, FloatArray]:
+    """Frame and quaternions (N, 4) of the body relative to it."""
+    meta = segment.meta
+    kind = meta.get("ATTITUDE_TYPE", "").upper()
+    if kind not in _TYPES:
+        raise BadInput(f"ATTITUDE_TYPE is {clip(kind) or 'missing'}", where=where, wanted=" or ".join(_TYPES))
+    value = np.array([row[:4] for row in segment.rows])
+    scalar, direction = (_one_of(meta, key, words, where) for key, words in _CHOICES)
+    if scalar == "FIRST":
+        value = value[:, [1, 2, 3, 0]]
+    a, b = (meta.get(key, "").upper() for key in ("REF_FRAME_A", "REF_FRAME_B"))
+    if a.startswith(_BODY) == b.startswith(_BODY):
+        wanted = "one of them the spacecraft's (SC_BODY_1)"
+        raise BadInput(f"the frames are {clip(a) or 'none'} and {clip(b) or 'none'}", where=where, wanted=wanted)
+    body_is_b = b.startswith(_BODY)
+    if body_is_b != (direction == "A2B"):
+        value = value * [-1.0, -1.0, -1.0, 1.0]
+    return frame_of(segment, "REF_FRAME_A" if body_is_b else "REF_FRAME_B", where), value
+
+
+def _one_of(meta: dict[str, str], key: str, words: tuple[str, ...], where: str) -> str:
+    """What the metadata say, the first word where they do not. Raises BadInput for any other word."""
+    said = meta.get(key, words[0]).upper()
+    if said not in words:
+        raise BadInput(f"{key} is {clip(said)}", where=where, wanted=" or ".join(words))
+    return said

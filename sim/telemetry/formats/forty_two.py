@@ -16,7 +16,7 @@ from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.limits import MAX_SAMPLES, Lines
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.telemetry.formats.table import Table, content_of
-from fluxtwin.sim.telemetry.time_recipes import J2000
+from fluxtwin.sim.telemetry.time_stamps import J2000
 
 _SIGNALS = {
     "PosN": (("r_x_km", "r_y_km", "r_z_km"), 1e-3),

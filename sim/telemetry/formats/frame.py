@@ -16,7 +16,6 @@ from fluxtwin.sim.telemetry.quantities import RECORDED
 if TYPE_CHECKING:
     from fluxtwin.sim.telemetry.record import Telemetry
 
-_NO_ZONE = "column {} has no zone: taken as UTC"
 _CF_UNITS = {"degree s-1": "deg_s", "km s-1": "km_s", "degree": "deg", "A m2": "Am2", "degree_Celsius": "degC"}
 
 
@@ -50,14 +49,17 @@ def of_pandas(frame: Any, where: str = "DataFrame") -> Table:
     if not frame.columns.is_unique:
         twice = frame.columns[frame.columns.duplicated()][0]
         raise BadInput(f"column {clip(twice)} is there twice", where=where, wanted="every name once")
-    if isinstance(frame.index, pd.DatetimeIndex) and "time" not in frame.columns:
-        columns["time"] = _stamps(frame.index.to_series(), "time", where)
+    timed = frame.get("time")
+    if isinstance(frame.index, pd.DatetimeIndex) and timed is None:
+        timed = frame.index.to_series()
+        columns["time"] = _stamps(timed, "time", where)
     for name in frame.columns:
         series = frame[name]
         if isinstance(series.attrs.get("units"), str):  # a frame's own attributes are also those of its columns
             units[name] = series.attrs["units"]
         columns[str(name)] = _column(series, str(name), where)
-    notices = [_NO_ZONE.format(name) for name, one in _stamped(frame).items() if one.dt.tz is None]
+    stamped = timed is not None and pd.api.types.is_datetime64_any_dtype(timed.dtype)
+    notices = ["column time has no zone: taken as UTC"] if stamped and timed.dt.tz is None else []
     return Table(where, columns, {str(k): str(v) for k, v in units.items()}, _stated(frame.attrs), notices)
 
 
@@ -124,16 +126,6 @@ def _stated(attributes: Mapping[Any, Any]) -> dict[str, str]:
     texts = {str(key): value for key, value in attributes.items() if isinstance(value, str)}
     ours = {key.removeprefix(PROVENANCE): value for key, value in texts.items() if key.startswith(PROVENANCE)}
     return ({"spacecraft": texts["spacecraft"]} if "spacecraft" in texts else {}) | ours
-
-
-def _stamped(frame: Any) -> dict[str, Any]:
-    """The columns of stamps that are taken as `time`, by name."""
-    pd = _pandas()
-    index = frame.index
-    found = {"time": index.to_series()} if isinstance(index, pd.DatetimeIndex) and "time" not in frame.columns else {}
-    if "time" in frame.columns and pd.api.types.is_datetime64_any_dtype(frame["time"].dtype):
-        found["time"] = frame["time"]
-    return found
 
 
 def _column(series: Any, name: str, where: str) -> np.ndarray:

@@ -35,7 +35,6 @@ class Table:
     sha256: str = ""
 
     def names(self) -> list[str]:
-        """Names of the columns."""
         return list(self.columns)
 
     def numbers(self, name: str) -> FloatArray:

@@ -137,8 +137,6 @@ def test_inertial_and_local_components(close: Callable[..., None]) -> None:
     same = field.field_N_nT(model, np.full(30, time[0]), r_N)
     close(one_epoch, same, atol=1e-9, unit="nT", because="rounding")
     close(field.field_N_nT(model, time[0], r_N, R_EN[0]), one_epoch, atol=1e-9, unit="nT", because="rounding")
-    with pytest.raises(BadInput, match="7 rotations for 30 positions"):
-        field.field_N_nT(model, time, r_N, R_EN[:7])
     b_NEC = field.field_NEC_nT(model, time, R_EN.apply(r_N))
     up = R_EN.apply(r_N) / np.linalg.norm(r_N, axis=1)[:, None]
     close(b_NEC[:, 2], -np.einsum("ij,ij->i", b_E, up), atol=1e-9, unit="nT", because="centre is minus radial")
@@ -213,8 +211,6 @@ def test_positions_that_cannot_be(shared_model: field.FieldModel) -> None:
         field.field_E_nT(shared_model, time, np.ones((4, 2)))
     with pytest.raises(BadInput, match="one for each position"):
         field.field_E_nT(shared_model, np.array([time, time]), places(3))
-    with pytest.raises(OutOfRange, match="1 or more"):
-        field.design_matrix_E(0, places(1))
 
 
 def test_model_names_and_degrees() -> None:

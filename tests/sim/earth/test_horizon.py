@@ -7,10 +7,8 @@ import pytest
 from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
-from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.earth import frames, horizon
-from fluxtwin.sim.spacecraft.sensors.horizon_crossings import ConicalScanner
-from fluxtwin.sim.spacecraft.sensors.horizon_scanner import HorizonScannerSection
+from fluxtwin.sim.spacecraft.sensors.horizon_scanner import ConicalScanner, HorizonScannerSection
 
 pytestmark = pytest.mark.reference
 
@@ -111,11 +109,6 @@ def test_the_horizon_is_higher_towards_the_summer_pole():
         cone = horizon.tangent_cone(horizon.surface("infrared", at(day, 2)), r, pole)
         angle = horizon.nadir_angle(cone, -r / HCMM_KM, towards)
         assert angle[summer] > angle[1 - summer] + np.radians(0.05)
-
-
-def test_another_name_is_refused():
-    with pytest.raises(BadInput, match="no horizon 'flat'"):
-        horizon.surface("flat", at("1978-06-21", 1))
 
 
 def test_a_scan_that_misses_the_earth_gives_nothing():

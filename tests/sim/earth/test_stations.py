@@ -33,12 +33,6 @@ def low_orbit(inclination_deg: float) -> Orbit:
     )
 
 
-@pytest.mark.parametrize(("latitude_deg", "mask_deg"), [(91.0, 0.0), (0.0, 90.0), (np.nan, 0.0)])
-def test_a_station_is_on_the_Earth(latitude_deg, mask_deg):
-    with pytest.raises(BadInput, match="a latitude and a mask within 90 deg"):
-        at("x", latitude_deg, 0.0, mask_deg)
-
-
 def test_straight_above_is_ninety_degrees_and_the_horizon_is_level(close):
     for latitude in (-90.0, -35.0, 0.0, 52.0):
         station = at("x", latitude, 20.0)

@@ -12,10 +12,9 @@ from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.earth import frames
 from fluxtwin.sim.earth.stations import in_view
 from fluxtwin.sim.run.scenario_passes import list_passes
-from fluxtwin.sim.run.scenario_stations import stations_of
 from fluxtwin.sim.run.simulate import simulate
 from fluxtwin.sim.run.spacecraft import torquer_correction
-from fluxtwin.sim.run.world import build_world
+from fluxtwin.sim.run.world import build_world, stations_of
 from fluxtwin.sim.scenario.scenario import parse_scenario
 
 pytestmark = pytest.mark.property

@@ -13,8 +13,7 @@ from worlds import PARTS, scenario_text
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.random_streams import stream
 from fluxtwin.sim.earth import frames
-from fluxtwin.sim.run.replay import _differenced_rate, _true_motion
-from fluxtwin.sim.run.simulate import simulate
+from fluxtwin.sim.run.simulate import _differenced_rate, _true_motion, simulate
 from fluxtwin.sim.run.world import orbit_from
 from fluxtwin.sim.scenario.scenario import parse_scenario
 from fluxtwin.sim.scenario.sections import OrbitSection

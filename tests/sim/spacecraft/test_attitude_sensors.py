@@ -308,5 +308,3 @@ def test_impossible_sensors_are_refused() -> None:
         GyroSection(noise_deg_s=-1.0)
     with pytest.raises(ValueError, match="noise_deg"):
         HorizonScannerSection(noise_deg=-1.0)
-    with pytest.raises(BadInput, match="correlated noise"):
-        gauss_markov(stamps(np.arange(3.0)), -1.0, 5.0, np.random.default_rng(0))

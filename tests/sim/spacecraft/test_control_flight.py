@@ -12,7 +12,8 @@ from fluxtwin.sim.earth.orbit import Orbit
 from fluxtwin.sim.spacecraft.control import CONTROLS, BDot, Control, MomentumBias, Spin, ThreeAxis
 from fluxtwin.sim.spacecraft.dynamics.environment import environment_along
 from fluxtwin.sim.spacecraft.dynamics.flight import Start, fly
-from fluxtwin.sim.spacecraft.dynamics.vehicle import Compass, Target, Vehicle, Wheel
+from fluxtwin.sim.spacecraft.dynamics.vehicle import Target, Vehicle, Wheel
+from fluxtwin.sim.spacecraft.sensors.magnetometer import Magnetometer
 from fluxtwin.sim.spacecraft.torques import (
     TORQUES,
     Aerodynamic,
@@ -76,7 +77,7 @@ def test_what_a_compass_reads_is_corrected_to_the_field_by_equation_1() -> None:
         [7e3, -3e3, -6e3],
         [2e4, 1e4, -3e4],
     )
-    row = np.array(Compass(S, np.array(b_nT)).row)
+    row = np.array(Vehicle(np.eye(3), compass=Magnetometer(S, np.array(b_nT))).compass_row)
     reading_nT = row[:9].reshape(3, 3) @ B_nT + 1e9 * row[9:]
     assert (np.eye(3) + S) @ reading_nT + b_nT == pytest.approx(np.array(B_nT))
 
@@ -88,7 +89,7 @@ def test_the_kernel_flies_as_the_reference_does(name: str, close) -> None:
         Wheel(axis, 0.05, 300.0, 0.05, 1e-5, 1e-3) for axis in ((0.0, 1.0, 0.0), (1.0, 0.0, 0.2), (0.0, 0.0, 1.0))
     )
     target = Target(attitude=frames.rotation_BO(np.array([0.02]), np.array([-0.01]), np.array([0.03]))[0])
-    compass = Compass(
+    compass = Magnetometer(
         np.array([[0.02, -0.01, 0.0], [0.01, -0.03, 0.005], [0.0, 0.01, 0.01]]), np.array([7e3, -3e3, -6e3])
     )
     vehicle = Vehicle(J, wheels, ALL_TORQUES, LAWS[name], target, compass)

@@ -16,7 +16,7 @@ from fluxtwin.sim.spacecraft.power import (
     battery_history,
     incidence_cosine,
 )
-from fluxtwin.sim.spacecraft.thermal import Thermostat, equilibrium_degC, temperature_history
+from fluxtwin.sim.spacecraft.thermal import ThermalSection
 from fluxtwin.sim.spacecraft.wheels import periodic_momentum_B_Nms, wheel_speed_rpm
 
 pytestmark = pytest.mark.reference
@@ -127,12 +127,19 @@ def test_an_empty_battery_gives_nothing() -> None:
     np.testing.assert_array_equal(current, [-15.0, -15.0, 0.0, 0.0, 0.0])
 
 
+def node(sunlit_degC: float, time_constant_s: float, **heater: float) -> ThermalSection:
+    """At -20 degC in shadow."""
+    return ThermalSection(
+        sunlit_degC=sunlit_degC, eclipse_degC=-20.0, time_constant_min=time_constant_s / 60.0, **heater
+    )
+
+
 def test_step_response_of_the_lag(close) -> None:
     seconds = np.array([0.0, 10.0, 300.0, 301.0, 1500.0, 6000.0])
-    found, heater = temperature_history(stamps(seconds), np.full(6, 30.0), 600.0, initial_degC=-10.0)
+    found, heater = node(30.0, 600.0).history(stamps(seconds), np.ones(6), initial_degC=-10.0)
     close(found, 30.0 - 40.0 * np.exp(-seconds / 600.0), atol=1e-12, unit="K", because="exact at any step")
     assert (heater == 0.0).all()
-    slower, _ = temperature_history(stamps(seconds), np.full(6, 30.0), 606.0, initial_degC=-10.0)
+    slower, _ = node(30.0, 606.0).history(stamps(seconds), np.ones(6), initial_degC=-10.0)
     with pytest.raises(AssertionError):
         close(slower, found, atol=1e-3, unit="K", because="a 1 % longer time constant must fail")
 
@@ -141,8 +148,7 @@ def test_lag_behind_sun_and_shadow_repeats_with_the_analytic_swing(close) -> Non
     """A square wave of period P = ts + te through a lag: crest and trough of the periodic solution."""
     seconds = np.arange(0.0, 30 * PERIOD_S, 20.0)
     lit = (np.mod(seconds, PERIOD_S) < 4000.0).astype(float)
-    goal = equilibrium_degC(lit, 40.0, -20.0)
-    found, _ = temperature_history(stamps(seconds), goal, 1800.0)
+    found, _ = node(40.0, 1800.0).history(stamps(seconds), lit)
     es, ee = np.exp(-4000.0 / 1800.0), np.exp(-2000.0 / 1800.0)
     crest = 40.0 - 60.0 * (1.0 - ee) * es / (1.0 - es * ee)
     trough = -20.0 + 60.0 * (1.0 - es) * ee / (1.0 - es * ee)
@@ -156,12 +162,10 @@ def test_thermostat_cycle_against_the_analytic_one(close) -> None:
     tau = 1000.0
     on_s = tau * np.log((20.0 - 4.0) / (20.0 - 6.0))
     off_s = tau * np.log((6.0 + 20.0) / (4.0 + 20.0))
-    thermostat = Thermostat(on_below_degC=4.0, off_above_degC=6.0, rise_K=40.0)
+    heated = node(0.0, tau, heater_on_below_degC=4.0, heater_off_above_degC=6.0, heater_rise_degC=40.0)
     cycles = 1000
     seconds = np.linspace(0.0, cycles * (on_s + off_s), 36_997, endpoint=False)
-    found, heater = temperature_history(
-        stamps(seconds), np.full(seconds.size, -20.0), tau, thermostat=thermostat, initial_degC=4.0
-    )
+    found, heater = heated.history(stamps(seconds), np.zeros(seconds.size), initial_degC=4.0)
     close(
         heater.mean(),
         on_s / (on_s + off_s),
@@ -175,18 +179,18 @@ def test_thermostat_cycle_against_the_analytic_one(close) -> None:
     assert found.max() < 6.0 + 1e-9
     # Where the samples fall must not matter: one long step holds hundreds of switches.
     jump = stamps(np.array([0.0, seconds[31_007]]))
-    once, state = temperature_history(jump, np.full(2, -20.0), tau, thermostat=thermostat, initial_degC=4.0)
+    once, state = heated.history(jump, np.zeros(2), initial_degC=4.0)
     close(once[1], found[31_007], atol=1e-6, unit="K", because="stamps are rounded to the nanosecond")
     assert state[1] == heater[31_007]
 
 
 def test_heater_stays_on_when_too_weak_and_off_when_warm() -> None:
     time = stamps(np.arange(0.0, 20_000.0, 100.0))
-    weak = Thermostat(on_below_degC=4.0, off_above_degC=6.0, rise_K=10.0)
-    _, heater = temperature_history(time, np.full(200, -20.0), 500.0, thermostat=weak, initial_degC=20.0)
+    weak = node(15.0, 500.0, heater_on_below_degC=4.0, heater_off_above_degC=6.0, heater_rise_degC=10.0)
+    _, heater = weak.history(time, np.zeros(200), initial_degC=20.0)
     assert heater[0] == 0.0
     assert (heater[10:] == 1.0).all()
-    _, heater = temperature_history(time, np.full(200, 15.0), 500.0, thermostat=weak)
+    _, heater = weak.history(time, np.ones(200))
     assert (heater == 0.0).all()
 
 
@@ -211,7 +215,7 @@ def test_wheels_hold_the_momentum_that_they_are_given(close) -> None:
 
 
 def test_impossible_housekeeping_is_refused() -> None:
-    with pytest.raises(BadInput, match="thermostat"):
-        Thermostat(on_below_degC=6.0, off_above_degC=4.0, rise_K=1.0)
+    with pytest.raises(ValueError, match=r"at least 0\.01 K under"):
+        node(0.0, 600.0, heater_on_below_degC=6.0, heater_off_above_degC=4.0, heater_rise_degC=1.0)
     with pytest.raises(BadInput, match="panel normal"):
         array_current_A(np.eye(3), 1.0, Panel((0.0, 0.0, 0.0), 1.0))

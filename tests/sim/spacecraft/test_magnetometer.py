@@ -118,20 +118,9 @@ def test_the_noise_stream_does_not_depend_on_its_size() -> None:
     assert after[0] == after[1]
 
 
-@pytest.mark.parametrize(
-    "what",
-    [
-        {"S": -np.eye(3)},
-        {"S": np.zeros((2, 2))},
-        {"b_nT": np.array([np.nan, 0, 0])},
-        {"lsb_nT": -1.0},
-        {"range_nT": 0.0},
-        {"T_nT_per_Am2": np.zeros(3)},
-    ],
-)
-def test_an_impossible_magnetometer_is_refused(what: dict) -> None:
+def test_an_impossible_magnetometer_is_refused() -> None:
     with pytest.raises(BadInput, match="magnetometer"):
-        Magnetometer(**{"S": S, "b_nT": B_NT, **what})
+        Magnetometer(-np.eye(3), B_NT)
 
 
 # ---- torquers ------------------------------------------------------------------------------------------------

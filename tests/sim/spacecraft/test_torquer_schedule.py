@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fluxtwin.sim.base.random_streams import stream
-from fluxtwin.sim.spacecraft.torquers import ConstantDipole, draw_random_duty
+from fluxtwin.sim.spacecraft.torquers import draw_random_duty
 
 pytestmark = pytest.mark.property
 
@@ -66,9 +66,3 @@ def test_always_on_and_never_on() -> None:
     always = draw_random_duty((1.0, 2.0, 3.0), 1.0, 60.0, stream(1, "t"), both_signs=False).dipole_B_Am2(time)
     assert (always == [1.0, 2.0, 3.0]).all()
     assert (draw_random_duty(1.0, 0.0, 60.0, stream(1, "t")).dipole_B_Am2(time) == 0.0).all()
-
-
-def test_degenerate_activities() -> None:
-    time = stamps(np.arange(3.0))
-    assert (ConstantDipole().dipole_B_Am2(time) == 0.0).all()
-    np.testing.assert_array_equal(ConstantDipole((1.0, 2.0, 3.0)).dipole_B_Am2(time), np.tile([1.0, 2.0, 3.0], (3, 1)))

@@ -297,7 +297,7 @@ def test_sunlight_at_a_centre_is_that_of_a_black_plate_face_on(close) -> None:
 def test_the_sunlight_of_the_environment_falls_in_the_shadow(close) -> None:
     orbit = Orbit(epoch_utc=EPOCH, altitude_km=600.0, inclination_rad=0.4, raan_rad=0.0)
     around = environment_along(orbit.propagate, EPOCH, 6000.0, spacing_s=10.0, with_sun=True)
-    assert around.duration_s == 6000.0
+    assert len(around.nodes) == 603
     light = around.nodes[:, 12]
     # On 1 January the Earth is 0.9833 au from the sun.
     close(light.max(), 0.9833**-2, atol=2e-4, unit="1", because="four figures of the distance")

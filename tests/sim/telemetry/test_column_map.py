@@ -17,9 +17,8 @@ from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.earth import frames
 from fluxtwin.sim.earth.field import load_field
 from fluxtwin.sim.earth.orbit import Orbit
-from fluxtwin.sim.telemetry.column_map import load_column_map
+from fluxtwin.sim.telemetry.column_map import load_column_map, packaged_layouts
 from fluxtwin.sim.telemetry.column_map_merge import _along_orbit
-from fluxtwin.sim.telemetry.layouts import packaged
 from fluxtwin.sim.telemetry.record import Telemetry
 from fluxtwin.sim.telemetry.telemetry_files import read_telemetry
 
@@ -305,9 +304,9 @@ def examples() -> list[str]:
 
 def test_the_maps_that_travel_say_which_files_they_are_for() -> None:
     maps = sorted((ROOT / "sim" / "telemetry" / "data" / "layouts").glob("*.toml"))
-    assert [path.stem for path in maps] == sorted(packaged())
+    assert [path.stem for path in maps] == sorted(packaged_layouts())
     text = (ROOT / "docs" / "telemetry.md").read_text(encoding="utf-8")
-    for name, column_map in packaged().items():
+    for name, column_map in packaged_layouts().items():
         assert column_map.layout is not None
         used = {source for entry in column_map.file for spec in entry.columns.values() for source in spec.names}
         assert used <= set(column_map.layout.variables), "a map reads what its layout promises"

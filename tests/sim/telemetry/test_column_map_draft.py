@@ -546,16 +546,3 @@ def test_a_workbook_with_a_sheet_a_packet(tmp_path: Path) -> None:
     (tmp_path / "m.toml").write_text(text.replace('"MAGI"', '"MAGX"'), encoding="utf-8")
     with pytest.raises(BadInput, match=r"no sheet 'MAGX'\. Wanted: INFO, ATT, ORB, MAGM, MAGI"):
         read_telemetry(tmp_path / "all.xlsx", column_map=tmp_path / "m.toml")
-
-
-def test_an_attitude_in_rows_of_its_own_is_brought_onto_the_readings(tmp_path: Path) -> None:
-    even = np.arange(len(UNIX)) % 2 == 0
-    mag, q = np.where(even[:, None], MAG, np.nan), np.where(even[:, None], np.nan, Q)
-    columns = {"unix_s": UNIX, **triple("mag_x_nT mag_y_nT mag_z_nT", mag), **triple("q_x q_y q_z q_w", q)}
-    data = table(tmp_path / "a.csv", columns)
-    (tmp_path / "m.toml").write_text(draft([data]), encoding="utf-8")
-    record = read_telemetry(data, column_map=tmp_path / "m.toml")
-    both = record.has_reading & record.has_attitude
-    assert both.sum() > 90  # of 100, all but the ends
-    off = frames.rotation_from_q(np.array(record.q_NB)[both]) * R_BN[np.searchsorted(TIME, record.time[both])].inv()
-    assert off.magnitude().max() < 1e-6

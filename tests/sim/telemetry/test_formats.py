@@ -16,7 +16,7 @@ from worlds import scenario_text
 import fluxtwin
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.earth import frames
-from fluxtwin.sim.telemetry.formats import aem, cdf, oem
+from fluxtwin.sim.telemetry.formats import ccsds, cdf
 
 pytestmark = pytest.mark.reference
 
@@ -134,7 +134,7 @@ def test_foreign_texts_stand_in_no_ones_way(record: fluxtwin.Telemetry) -> None:
 def test_the_blue_books_attitude(tmp_path: Path) -> None:
     path = tmp_path / "a.aem"
     path.write_text(AEM, encoding="utf-8")
-    table = aem.read(path)
+    table = ccsds.read_aem(path)
     q = np.column_stack([table.numbers(f"q_{axis}") for axis in "xyzw"])
     assert list(q[0]) == [0.56748, 0.03146, 0.45689, 0.68427] and table.attributes["frame"] == "EME2000"
     assert str(table.times()[0]) == "1996-11-28T21:29:07.255500000"
@@ -145,7 +145,7 @@ def test_the_blue_books_attitude(tmp_path: Path) -> None:
     swapped = flipped.replace("FRAME_A = EME2000", "FRAME_A = X").replace("FRAME_B = SC_BODY_1", "FRAME_B = EME2000")
     for text in (first, flipped, swapped.replace("FRAME_A = X", "FRAME_A = SC_BODY_1").replace("B2A", "A2B")):
         path.write_text(text, encoding="utf-8")
-        assert [aem.read(path).numbers(f"q_{axis}")[0] for axis in "xyzw"] == list(q[0])
+        assert [ccsds.read_aem(path).numbers(f"q_{axis}")[0] for axis in "xyzw"] == list(q[0])
 
 
 def test_an_attitude_from_a_file_of_its_own(record: fluxtwin.Telemetry, tmp_path: Path) -> None:
@@ -169,12 +169,12 @@ def test_an_attitude_from_a_file_of_its_own(record: fluxtwin.Telemetry, tmp_path
 
 def test_the_blue_books_orbit(tmp_path: Path) -> None:
     (tmp_path / "o.oem").write_text(OEM, encoding="utf-8")
-    table = oem.read(tmp_path / "o.oem")
+    table = ccsds.read_oem(tmp_path / "o.oem")
     assert list(table.numbers("x")) == [2789.619, 2783.419, 2776.033] and table.numbers("vz")[2] == -1.94687
     assert str(table.times()[2]) == "1996-12-18T12:02:00.331000000", "353 is the day of the year"
     (tmp_path / "o.oem").write_text(OEM.replace("= EARTH", "= MARS BARYCENTER"), encoding="utf-8")
     with pytest.raises(BadInput, match="MARS BARYCENTER"):
-        oem.read(tmp_path / "o.oem")
+        ccsds.read_oem(tmp_path / "o.oem")
 
 
 def test_orbit_and_attitude_go_out_and_come_back(record: fluxtwin.Telemetry, tmp_path: Path) -> None:
@@ -259,7 +259,7 @@ def test_what_we_write_is_what_brahe_reads(record: fluxtwin.Telemetry, tmp_path:
 def test_a_broken_message_is_named(tmp_path: Path, text: str, said: str) -> None:
     (tmp_path / "a.aem").write_text(text, encoding="utf-8")
     with pytest.raises(BadInput, match=said):
-        aem.read(tmp_path / "a.aem")
+        ccsds.read_aem(tmp_path / "a.aem")
 
 
 def test_cdf_as_missions_write_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -369,7 +369,7 @@ def test_segments_of_two_objects_are_refused(tmp_path: Path) -> None:
     more = OEM[OEM.index("META_START") :].replace("1996", "1997").replace("OBJECT_ID = ", "OBJECT_ID = X")
     (tmp_path / "o.oem").write_text(OEM + "\n" + more, encoding="utf-8")
     with pytest.raises(BadInput, match="different objects"):
-        oem.read(tmp_path / "o.oem")
+        ccsds.read_oem(tmp_path / "o.oem")
 
 
 def test_units_in_attributes_and_lists_in_cells() -> None:

@@ -24,7 +24,7 @@ import fluxtwin
 from fluxtwin.calib.checks.check import check_file, repair
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.earth.field import FieldModel, load_field
-from fluxtwin.sim.telemetry.layouts import FOLDER, packaged, recognised
+from fluxtwin.sim.telemetry.column_map import LAYOUTS, packaged_layouts, recognised
 from fluxtwin.sim.telemetry.telemetry_files import read_telemetry
 
 pytestmark = pytest.mark.reference
@@ -115,7 +115,7 @@ def test_what_computes_still_wants_the_map(shared: Path, tmp_path: Path) -> None
         repair(shared / "flight" / FLUXGATE, tmp_path / "out.nc")
     assert not list(tmp_path.iterdir())
     with pytest.raises(BadInput, match="mag"):
-        read_telemetry(shared / "flight" / STATE, column_map=FOLDER / "elfin_state.toml")
+        read_telemetry(shared / "flight" / STATE, column_map=LAYOUTS / "elfin_state.toml")
 
 
 def test_the_verb_answers_as_the_command(shared: Path) -> None:
@@ -124,7 +124,7 @@ def test_the_verb_answers_as_the_command(shared: Path) -> None:
 
 
 def test_each_flown_file_has_exactly_its_own_layout(shared: Path) -> None:
-    assert set(packaged()) == set(MAPS.values())
+    assert set(packaged_layouts()) == set(MAPS.values())
     for path in sorted((shared / "flight").glob("*.nc")):
         found = recognised(path)
         assert (found and found[0]) == MAPS.get(path.name), path.name

@@ -11,7 +11,7 @@ from astropy.time import Time
 
 import fluxtwin
 from fluxtwin.sim.base.errors import BadInput
-from fluxtwin.sim.telemetry import time_recipes
+from fluxtwin.sim.telemetry import time_stamps
 
 pytestmark = pytest.mark.reference
 STAMPS = np.array(
@@ -223,4 +223,4 @@ def test_a_stamp_of_another_form_is_refused_with_the_recipe_that_reads_it(tmp_pa
 
 def test_every_recipe_is_described(root: Path) -> None:
     text = (root / "docs" / "telemetry.md").read_text(encoding="utf-8")
-    assert [name for name in time_recipes.NAMES if f"`{name}`" not in text] == []
+    assert [name for name in time_stamps.NAMES if f"`{name}`" not in text] == []

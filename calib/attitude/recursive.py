@@ -33,13 +33,13 @@ from fluxtwin.calib.attitude.filter import (
     run,
     starts,
 )
-from fluxtwin.calib.attitude.method import RecursiveOptions
 from fluxtwin.calib.attitude.three_axis import consistency, declared_noises, limits
 from fluxtwin.calib.common.design import joined
 from fluxtwin.calib.common.digits import plain
 from fluxtwin.calib.common.fit import Fit, with_warnings
 from fluxtwin.calib.common.noise import ReadingNoise, lsb_from_spacing_nT, per_axis
 from fluxtwin.calib.common.observability import field_variation, pair_words, require_samples, weak_direction_words
+from fluxtwin.calib.common.options import RecursiveOptions
 from fluxtwin.calib.common.records import Calibration, parameter_names
 from fluxtwin.calib.common.residuals import residual_statistics
 from fluxtwin.calib.common.words import say

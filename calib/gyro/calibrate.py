@@ -14,12 +14,12 @@ from fluxtwin.calib.common.design import complete_rows, joined
 from fluxtwin.calib.common.digits import measured, plain
 from fluxtwin.calib.common.fit import Fit, with_warnings
 from fluxtwin.calib.common.noise import ReadingNoise, per_axis
+from fluxtwin.calib.common.options import GyroOptions
 from fluxtwin.calib.common.records import Calibration, TelemetryBias
 from fluxtwin.calib.common.residuals import residual_statistics
 from fluxtwin.calib.common.robust import rows_to_keep
 from fluxtwin.calib.common.verdict import kept_rows
 from fluxtwin.calib.common.words import say
-from fluxtwin.calib.gyro.method import GyroOptions
 from fluxtwin.calib.gyro.motion import LARGEST_TURN_RAD, cut
 from fluxtwin.calib.gyro.solve import Solved, drops, fields_without_errors, solve
 from fluxtwin.sim.base.errors import BadInput, NoAnswer

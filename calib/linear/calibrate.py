@@ -23,6 +23,7 @@ from fluxtwin.calib.common.design import Design, assemble, joined
 from fluxtwin.calib.common.digits import plain
 from fluxtwin.calib.common.fit import Fit, with_warnings
 from fluxtwin.calib.common.noise import ReadingNoise, reading_noise
+from fluxtwin.calib.common.options import LinearOptions
 from fluxtwin.calib.common.records import Calibration, TelemetryBias
 from fluxtwin.calib.common.regression import Regression, regress, residuals
 from fluxtwin.calib.common.residuals import residual_statistics
@@ -30,7 +31,6 @@ from fluxtwin.calib.common.robust import outlier_words, rows_to_keep
 from fluxtwin.calib.linear.covariance_report import report_covariance
 from fluxtwin.calib.linear.driver_fields import drops as weighted_drops
 from fluxtwin.calib.linear.driver_fields import weighted_fields
-from fluxtwin.calib.linear.method import LinearOptions
 from fluxtwin.calib.linear.problem import LinearProblem, Solution
 from fluxtwin.sim.base.errors import BadInput, NoAnswer
 from fluxtwin.sim.base.types import FloatArray

@@ -24,6 +24,7 @@ from fluxtwin.calib.common.conventions import PAIRS
 from fluxtwin.calib.common.design import joined
 from fluxtwin.calib.common.fit import Fit, with_warnings
 from fluxtwin.calib.common.noise import ReadingNoise, scalar_noise
+from fluxtwin.calib.common.options import ScalarOptions
 from fluxtwin.calib.common.records import Calibration, TelemetryBias
 from fluxtwin.calib.common.residuals import residual_statistics
 from fluxtwin.calib.common.robust import outlier_words, rows_to_keep
@@ -31,7 +32,6 @@ from fluxtwin.calib.common.verdict import kept_rows
 from fluxtwin.calib.scalar import words
 from fluxtwin.calib.scalar.covariance import Scores, field_error_covariance, scalar_covariance, scores_of
 from fluxtwin.calib.scalar.maximum_likelihood import Solved, Sums, add_up, solve
-from fluxtwin.calib.scalar.method import ScalarOptions
 from fluxtwin.calib.scalar.model import ScalarData, pack, residual, unpack
 from fluxtwin.calib.scalar.observability import (
     Geometry,

@@ -13,7 +13,7 @@ from fluxtwin.calib.scalar.model import ScalarData, pack
 from fluxtwin.calib.scalar.rows import ScalarRows
 
 if TYPE_CHECKING:
-    from fluxtwin.calib.scalar.method import ScalarOptions
+    from fluxtwin.calib.common.options import ScalarOptions
 
 _NAMES = {"center": "CENTER", "twostep": "TWOSTEP with the noise term corrected", "scalar": "scalar maximum likelihood"}
 _MISSTATED = 1.25

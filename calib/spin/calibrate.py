@@ -26,11 +26,11 @@ from fluxtwin.calib.common.design import Design, joined
 from fluxtwin.calib.common.fit import Fit, with_warnings
 from fluxtwin.calib.common.noise import ReadingNoise, scalar_noise
 from fluxtwin.calib.common.observability import field_variation
+from fluxtwin.calib.common.options import LinearOptions, SpinOptions
 from fluxtwin.calib.common.records import LARGE_S, Calibration
 from fluxtwin.calib.common.residuals import residual_statistics
 from fluxtwin.calib.common.robust import TUKEY_AT, find_outliers, robust_distance, rows_to_keep
 from fluxtwin.calib.linear.calibrate import fit_design
-from fluxtwin.calib.linear.method import LinearOptions
 from fluxtwin.calib.scalar.maximum_likelihood import solve
 from fluxtwin.calib.scalar.model import ScalarData, pack, residual
 from fluxtwin.calib.scalar.twostep import twostep
@@ -45,7 +45,6 @@ from fluxtwin.calib.spin.batch import (
     solve_batch,
 )
 from fluxtwin.calib.spin.filter import Filtered, FilterSettings, spin_filter
-from fluxtwin.calib.spin.method import SpinOptions as SpinOptions
 from fluxtwin.calib.spin.motion import SpinMotion, skew
 from fluxtwin.calib.spin.rows import SpinRows, assemble_spin
 from fluxtwin.calib.spin.sedlak import OF_SIGMA, Iterated, at, free_motion, iterate

@@ -137,7 +137,7 @@ def calibrate_by(
 ) -> Fit:
     """Calibrate by the method of that name, None for `default_method`, with the verdict on the answer.
 
-    `all` compares the methods by their errors on rows that they have not seen, and takes one (`comparing`).
+    `all` compares the methods by their errors on rows that they have not seen, and takes one (`comparison`).
 
     given: options of the method, by the fields of its options; one that is None is as if not given.
     Raises BadInput for an unknown method, and for an option that the method does not take.
@@ -150,7 +150,7 @@ def calibrate_by(
     require(method, given)
     telemetry = joined(records)
     if method == ALL:
-        from fluxtwin.calib.comparing import compare
+        from fluxtwin.calib.common.comparison import compare
 
         wanted = {name: value for name, value in given.items() if value is not None}
         compared = compare(telemetry, model, ESTIMATORS, wanted, part_of(progress, 0.0, 0.8))

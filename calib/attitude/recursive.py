@@ -36,6 +36,7 @@ from fluxtwin.calib.attitude.filter import (
 from fluxtwin.calib.attitude.three_axis import consistency, declared_noises, limits
 from fluxtwin.calib.common.design import joined
 from fluxtwin.calib.common.digits import plain
+from fluxtwin.calib.common.error_model import white_errors
 from fluxtwin.calib.common.fit import Fit, with_warnings
 from fluxtwin.calib.common.noise import ReadingNoise, lsb_from_spacing_nT, per_axis
 from fluxtwin.calib.common.observability import field_variation, pair_words, require_samples, weak_direction_words
@@ -44,7 +45,6 @@ from fluxtwin.calib.common.records import Calibration, parameter_names
 from fluxtwin.calib.common.residuals import residual_statistics
 from fluxtwin.calib.common.words import say
 from fluxtwin.calib.linear.calibrate import calibrate_linear
-from fluxtwin.calib.scalar.words import errors
 from fluxtwin.sim.base.errors import NoAnswer
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.earth import frames
@@ -262,7 +262,7 @@ def _report(
         noise=noise,
         statistics=statistics,
         messages=tuple(messages),
-        error_model=errors(noise, declared),
+        error_model=white_errors(noise.variance_nT2, declared=declared),
         q_NB=frames.q_from_rotation(Rotation.from_matrix(A)),
         attitude_sigma_rad=np.sqrt(np.einsum("kii->ki", done.covariance[kept])),
         noises=noises,

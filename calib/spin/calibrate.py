@@ -23,6 +23,7 @@ from scipy.spatial.transform import Rotation
 from fluxtwin.calib.common.conventions import Forward, correction_from_forward, forward_jacobian
 from fluxtwin.calib.common.covariance import batch_widening, segments
 from fluxtwin.calib.common.design import Design, joined
+from fluxtwin.calib.common.error_model import white_errors
 from fluxtwin.calib.common.fit import Fit, with_warnings
 from fluxtwin.calib.common.noise import ReadingNoise, scalar_noise
 from fluxtwin.calib.common.observability import field_variation
@@ -31,10 +32,8 @@ from fluxtwin.calib.common.records import LARGE_S, Calibration
 from fluxtwin.calib.common.residuals import residual_statistics
 from fluxtwin.calib.common.robust import TUKEY_AT, find_outliers, robust_distance, rows_to_keep
 from fluxtwin.calib.linear.calibrate import fit_design
-from fluxtwin.calib.scalar.maximum_likelihood import solve
-from fluxtwin.calib.scalar.model import ScalarData, pack, residual
+from fluxtwin.calib.scalar.model import ScalarData, pack, residual, solve
 from fluxtwin.calib.scalar.twostep import twostep
-from fluxtwin.calib.scalar.words import errors
 from fluxtwin.calib.spin.batch import (
     Batch,
     Noise,
@@ -416,7 +415,7 @@ def _report(
             "inertia_ratio": motion.inertia_ratio,
             "precession_rad_s": float(np.linalg.norm(motion.Om_N_rad_s)),
         },
-        error_model=errors(noise, options.noise_nT is not None),
+        error_model=white_errors(noise.variance_nT2, declared=options.noise_nT is not None),
         quality=found.quality,
         steps_deg=tuple(float(np.degrees(step)) for step in found.steps_rad),
     )

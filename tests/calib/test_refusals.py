@@ -22,6 +22,7 @@ from fluxtwin.calib.gyro import calibrate as gyro
 from fluxtwin.calib.gyro import solve
 from fluxtwin.calib.linear import calibrate as linear
 from fluxtwin.calib.scalar import observability
+from fluxtwin.calib.scalar.rows import Geometry
 from fluxtwin.calib.spin import calibrate as spin
 from fluxtwin.calib.spin import sedlak, start
 from fluxtwin.sim.base.errors import BadInput, FluxtwinError
@@ -64,7 +65,7 @@ def turns(S_sigma: float, b_sigma_nT: float, b_nT: float) -> Any:
 
 
 READING = np.array([[100.0, 0.0, 0.0]])
-LINE = observability.Geometry(np.eye(3)[0], READING[0, [1, 2, 0]], 100.0, 0.1, np.eye(3)[0], 0.1)
+LINE = Geometry(np.eye(3)[0], READING[0, [1, 2, 0]], 100.0, 0.1, np.eye(3)[0], 0.1)
 
 
 def too_slow(noise_rad_s: float = 1e-3) -> None:
@@ -110,7 +111,7 @@ REFUSALS: dict[str, Callable[[], object]] = {
         [], np.zeros(12), -ONE, 1.0
     ),
     "the reading moves by 100 nT along one line and hardly across it": lambda: observability.refuse_thin(
-        SimpleNamespace(information=np.eye(3)), ("b1", "b2", "b3"), LINE
+        SimpleNamespace(information=np.eye(3)), SimpleNamespace(names=("b1", "b2", "b3"), geometry=LINE)
     ),
     "the iteration does not settle": lambda: sedlak.iterate(PULSES, READING, None, 1.0, Settings(), 1.0),
     "no five sun pulses in a row": lambda: start._first_pulse(PULSES),

@@ -14,12 +14,12 @@ from scipy.spatial.transform import Rotation
 from fluxtwin.calib.common.apply import apply_calibration
 from fluxtwin.calib.common.covariance import cell_starts
 from fluxtwin.calib.common.records import Calibration
+from fluxtwin.calib.common.residuals import predict
 from fluxtwin.calib.methods import calibrate_by, default_method
 from fluxtwin.calib.scalar.calibrate import ScalarOptions, calibrate_scalar, fit_rows
 from fluxtwin.calib.scalar.covariance import Scores, white_covariance
-from fluxtwin.calib.scalar.maximum_likelihood import add_up
-from fluxtwin.calib.scalar.model import ScalarData, own_noise, residual, terms
-from fluxtwin.calib.scalar.rows import ScalarRows, predict_scalar
+from fluxtwin.calib.scalar.model import ScalarData, add_up, own_noise, residual, terms
+from fluxtwin.calib.scalar.rows import ScalarRows
 from fluxtwin.sim.base.errors import BadInput, NoAnswer
 from fluxtwin.sim.earth import frames
 from fluxtwin.sim.earth.field import FieldModel, field_N_nT, load_field
@@ -129,7 +129,7 @@ def test_one_record_whatever_the_method(record: Telemetry, model: FieldModel, tm
         assert content["method_name"] == method
         path = fit.calibration.to_toml(tmp_path / f"{method}.toml")
         assert np.array_equal(Calibration.from_toml(path).values, fit.calibration.values)
-        statistics = predict_scalar(record.replace(q_NB=None), fit.calibration, model)
+        statistics = predict(record.replace(q_NB=None), fit.calibration, model, size_only=True)
         assert statistics.component_rms_nT < 3000.0
     assert shared >= {"calibration", "parameters", "residuals", "samples", "observability", "noise", "messages"}
 
@@ -190,8 +190,8 @@ def test_a_field_that_follows_a_column_survives_saving(record: Telemetry, model:
     )
     corrected = apply_calibration(disturbed, again).mag_B_nT
     np.testing.assert_allclose(corrected, expected, rtol=0.0, atol=1e-6)
-    left = predict_scalar(disturbed, again, model).to_dict()
-    assert left == predict_scalar(disturbed, fit.calibration, model).to_dict()
+    left = predict(disturbed, again, model, size_only=True).to_dict()
+    assert left == predict(disturbed, fit.calibration, model, size_only=True).to_dict()
     with pytest.raises(BadInput, match="a field that follows 'array_current_A', and the telemetry lacks the column"):
         apply_calibration(disturbed.replace(array_current_A=None), again)
     lines = [line for line in path.read_text(encoding="utf-8").splitlines() if not line.startswith("sha256")]

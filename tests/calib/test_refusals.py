@@ -61,20 +61,25 @@ class Settings:
 def turns(S_sigma: float, b_sigma_nT: float, b_nT: float) -> Any:
     """A solution by gyro of a field of 100 nT along x."""
     sigmas = np.repeat([S_sigma, b_sigma_nT], [9, 3])
-    return SimpleNamespace(S=np.zeros((3, 3)), b_nT=np.array([b_nT, 0.0, 0.0]), covariance=np.diag(sigmas**2))
+    return SimpleNamespace(
+        S=np.zeros((3, 3)),
+        b_nT=np.array([b_nT, 0.0, 0.0]),
+        covariance=np.diag(sigmas**2),
+        fields_nT=np.zeros((0, 3)),
+    )
 
 
 READING = np.array([[100.0, 0.0, 0.0]])
+SEEN = solve.GyroRows(None, READING, READING / 100.0, [np.zeros(1, dtype=int)], 1.0, np.zeros((1, 0)), True)
 LINE = Geometry(np.eye(3)[0], READING[0, [1, 2, 0]], 100.0, 0.1, np.eye(3)[0], 0.1)
 
 
 def too_slow(noise_rad_s: float = 1e-3) -> None:
     """A turn of 1 rad/s by a gyro whose noise `solve` below takes for a field of 50 nT."""
     solved = SimpleNamespace(
-        gyro_noise_rad_s=noise_rad_s, fields_nT=np.zeros((0, 3)), rows=[0], variance_nT2=1.0, b_nT=np.ones(3)
+        gyro_noise_rad_s=noise_rad_s, fields_nT=np.zeros((0, 3)), variance_nT2=1.0, b_nT=np.ones(3)
     )
-    used = SimpleNamespace(mag_B_nT=READING, time=None)
-    gyro._require_no_false_turns(used, READING / 100.0, np.zeros((1, 0)), [], 1.0, KNOWN, solved, np.ones(1))
+    gyro._require_no_false_turns(SEEN, solved, np.ones(1))
 
 
 REFUSALS: dict[str, Callable[[], object]] = {
@@ -84,9 +89,9 @@ REFUSALS: dict[str, Callable[[], object]] = {
         small_record(2)
     ),
     "varies by less than the noise": lambda: linear._corrected(SimpleNamespace(xx=ONE, M=ONE), 2.0 * ONE),
-    "only 0 of 100 nT of the field would be left": lambda: gyro._require_turns(turns(0.0, 0.0, -100.0), READING, KNOWN),
-    r"S is not determined \(sigma 10\)": lambda: gyro._require_turns(turns(10.0, 0.0, 0.0), READING, KNOWN),
-    r"is not determined \(sigma 1000 nT\)": lambda: gyro._require_turns(turns(0.0, 1e3, 0.0), READING, KNOWN),
+    "only 0 of 100 nT of the field would be left": lambda: gyro._require_turns(SEEN, turns(0.0, 0.0, -100.0)),
+    r"S is not determined \(sigma 10\)": lambda: gyro._require_turns(SEEN, turns(10.0, 0.0, 0.0)),
+    r"is not determined \(sigma 1000 nT\)": lambda: gyro._require_turns(SEEN, turns(0.0, 1e3, 0.0)),
     "without errors.* would be given a b of 50 nT": too_slow,
     "noise of .* deg/s per rate looks like rotation": lambda: too_slow(1.0),
     "do not determine .*b3": lambda: recursive._require_known(SimpleNamespace(p_covariance=ONE), ONE),
@@ -105,7 +110,7 @@ REFUSALS: dict[str, Callable[[], object]] = {
     r"c\.toml: parameters: S11: is missing": lambda: calibration_file._parameters({"b1": KNOWN}, "c.toml"),
     "each of the 3 rows lies far from all others": lambda: robust._tukey(np.full(3, 100.0)),
     "fewer than .* stretches of rows follow each other": lambda: gyro._best(
-        small_record(3), np.zeros((3, 3)), np.zeros((3, 0)), KNOWN
+        small_record(3).replace(rate_B_rad_s=np.zeros((3, 3))), np.zeros((3, 0)), KNOWN
     ),
     "nothing but noise moves a combination of S, b and the gyro's bias": lambda: solve._covariance(
         [], np.zeros(12), -ONE, 1.0

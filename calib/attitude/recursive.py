@@ -209,8 +209,7 @@ def _report(
     B, A = rows.reading_nT[kept], done.A[kept]
     r = np.einsum("kij,kj->ki", A, rows.field_N_nT[kept]) - (B + B @ S.T + b_nT)
     outlying = done.inflated[kept, 0] == 1.0
-    statistics = residual_statistics(rows.time[kept[~outlying]], r[~outlying])
-    sigma_nT = float(statistics.component_rms_nT)
+    sigma_nT = residual_statistics(rows.time[kept[~outlying]], r[~outlying]).component_rms_nT
     variation = field_variation(B[~outlying])
     words = [
         *pair_words(done.p_covariance, False, float(np.sqrt((B**2).mean())), sigma_nT),
@@ -260,7 +259,6 @@ def _report(
         rejected=int(outlying.sum() + far.sum()),
         variation=variation,
         noise=noise,
-        statistics=statistics,
         messages=tuple(messages),
         error_model=white_errors(noise.variance_nT2, declared=declared),
         q_NB=frames.q_from_rotation(Rotation.from_matrix(A)),

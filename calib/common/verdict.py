@@ -136,7 +136,7 @@ def assess(
     attitude_sigma_deg: error of the reference attitude as it was declared. against_attitude: whether the method took the
     telemetry's attitude for its reference.
     """
-    known, kept = fit.calibration, kept_rows(fit.weights)
+    known, kept = fit.calibration, fit.kept
     B = telemetry.mag_B_nT[fit.rows]
     D = None if telemetry.dipole_B_Am2 is None else telemetry.dipole_B_Am2[fit.rows]
     field_nT = known.apply(B, D, known.columns_of(telemetry, fit.rows))
@@ -171,11 +171,6 @@ def assess(
         passes=None if fit.error_model is None else fit.error_model.passes,
         next_step=_WITH_TORQUERS if coupling else _next_step(fit, impossible, along, direction, suspect_km > 0.0),
     )
-
-
-def kept_rows(weights: FloatArray) -> BoolArray:
-    """(N,) rows that count; the others were set aside as outliers."""
-    return np.asarray(weights > 0.0, dtype=np.bool_)
 
 
 def worst_pairs(fit: Fit) -> tuple[Pair, ...]:
@@ -315,7 +310,7 @@ def _residual_words(fit: Fit, along: Along, residual_nT: float, *, impossible: b
 
 def _rows(fit: Fit) -> int:
     """Rows that there were before outliers were set aside: some methods keep those with weight 0, some drop them."""
-    return int(kept_rows(fit.weights).sum()) + fit.rejected
+    return int(fit.kept.sum()) + fit.rejected
 
 
 def _many_outliers(fit: Fit) -> bool:

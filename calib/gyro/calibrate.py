@@ -16,9 +16,7 @@ from fluxtwin.calib.common.fit import Fit, with_warnings
 from fluxtwin.calib.common.noise import ReadingNoise, per_axis
 from fluxtwin.calib.common.options import GyroOptions
 from fluxtwin.calib.common.records import Calibration, TelemetryBias
-from fluxtwin.calib.common.residuals import residual_statistics
 from fluxtwin.calib.common.robust import rows_to_keep
-from fluxtwin.calib.common.verdict import kept_rows
 from fluxtwin.calib.common.words import say
 from fluxtwin.calib.gyro.motion import LARGEST_TURN_RAD, cut
 from fluxtwin.calib.gyro.solve import GyroRows, Solved, drops, fields_without_errors, solve
@@ -79,7 +77,7 @@ def calibrate_gyro(
     def late(fit: GyroFit, columns: drivers.Columns, name: str, tried: FloatArray) -> FloatArray:
         others = {one: values for one, values in columns.items() if one != name}
         seen = fit.seen._replace(columns=_stacked(columns, len(used)))
-        return drops(seen, fit.solved, kept_rows(fit.weights), _stacked(others, len(used)), tried)
+        return drops(seen, fit.solved, fit.kept, _stacked(others, len(used)), tried)
 
     others = used.mag_B_nT if options.parameters != "b" else np.zeros((len(used), 0))
     return drivers.fitted(asked, rows, others, by, late)
@@ -103,7 +101,7 @@ def _fit(
     _require_turns(seen, solved)
     in_stretch, residual_nT = seen.in_stretches, solved.residual_nT
     w = weights[in_stretch]
-    kept = kept_rows(w)
+    kept = w > 0.0
     noise = _noise(options, solved.variance_nT2)
     beside = f", field of {' and '.join(columns)} estimated" if columns else ""
     fields_sigma_nT = np.sqrt(np.diag(solved.fields_covariance)).reshape(-1, 3)
@@ -132,7 +130,6 @@ def _fit(
         rejected=int((~kept).sum()),
         variation=observability.field_variation(used.mag_B_nT),
         noise=noise,
-        statistics=residual_statistics(used.time[in_stretch][kept], residual_nT[kept]),
         messages=_messages(seen, solved, noise, options),
         driver_covariance=solved.fields_covariance,
         seen=seen,

@@ -26,7 +26,6 @@ from fluxtwin.calib.common.noise import ReadingNoise, reading_noise
 from fluxtwin.calib.common.options import LinearOptions
 from fluxtwin.calib.common.records import Calibration, TelemetryBias
 from fluxtwin.calib.common.regression import Regression, regress, residuals
-from fluxtwin.calib.common.residuals import residual_statistics
 from fluxtwin.calib.common.robust import outlier_words, rows_to_keep
 from fluxtwin.calib.linear.covariance_report import report_covariance
 from fluxtwin.calib.linear.driver_fields import drops as weighted_drops
@@ -251,7 +250,7 @@ def _report(problem: LinearProblem, solution: Solution, model_name: str, passes:
     report = report_covariance(problem, solution, passes)
     covariance = report.covariance
     free = problem.effective / max(problem.effective - solution.M.shape[1] - 1, 1e-9)
-    kept, rejected = problem.kept, int((~problem.kept).sum())
+    rejected = int((~problem.kept).sum())
     square = float(np.trace(problem.mean_square(solution.residual_nT))) / 3.0
     sigma_nT = float(np.sqrt(square * free))
     variation = observability.field_variation(design.B_nT, problem.weights)
@@ -288,7 +287,6 @@ def _report(problem: LinearProblem, solution: Solution, model_name: str, passes:
         variation=variation,
         noise=problem.noise,
         eiv_shift=solution.eiv_shift,
-        statistics=residual_statistics(design.time[kept], solution.residual_nT[kept]),
         messages=(*_messages(problem, solution, variation), *report.messages),
         error_model=report.errors,
         driver_covariance=report.driver_covariance,

@@ -23,7 +23,6 @@ from fluxtwin.calib.common.covariance import stretches
 from fluxtwin.calib.common.design import Design, of_turns
 from fluxtwin.calib.common.drivers import drawn_in, drops_of
 from fluxtwin.calib.common.records import seconds_of
-from fluxtwin.calib.common.verdict import kept_rows
 from fluxtwin.sim.base.types import FloatArray
 
 if TYPE_CHECKING:
@@ -38,7 +37,7 @@ def weighted_fields(fit: LinearFit, design: Design) -> tuple[FloatArray, FloatAr
 
     The covariance is scaled up, never down, by the mean square of what is left over what was expected.
     """
-    rows = np.flatnonzero(kept_rows(fit.weights))
+    rows = np.flatnonzero(fit.kept)
     columns = np.stack(list(design.columns.values()), axis=1)
     unit = np.sqrt((columns**2).mean(axis=0))
     others = _others(fit, design)
@@ -59,7 +58,7 @@ def drops(
     """(c,) by how much each of `tried` (n, c) lowers chi-square in the place of the column `name`; see `drivers.Drops`."""
     rows = stretches(len(design), _SEARCHED)
     back = np.linalg.inv(np.eye(3) + fit.calibration.S)
-    B = design.B_nT + drawn_in(fit.residuals_nT, kept_rows(fit.weights)) @ back.T
+    B = design.B_nT + drawn_in(fit.residuals_nT, fit.kept) @ back.T
     design = replace(design, B_nT=B)
     others = [*_others(fit, design), *(values for one, values in columns.items() if one != name)]
     return drops_of(_products(fit, design, rows, [*others, *tried.T]), 3 * len(others), 3)

@@ -27,9 +27,7 @@ from fluxtwin.calib.common.fit import Fit, with_warnings
 from fluxtwin.calib.common.noise import ReadingNoise, scalar_noise
 from fluxtwin.calib.common.options import ScalarOptions
 from fluxtwin.calib.common.records import Calibration, TelemetryBias
-from fluxtwin.calib.common.residuals import residual_statistics
 from fluxtwin.calib.common.robust import outlier_words, rows_to_keep
-from fluxtwin.calib.common.verdict import kept_rows
 from fluxtwin.calib.scalar.covariance import Scores, field_error_covariance, scalar_covariance, scores_of
 from fluxtwin.calib.scalar.model import ScalarData, Solved, Sums, add_up, pack, residual, solve, unpack
 from fluxtwin.calib.scalar.observability import choose, other_solution, refuse_thin, require_meaning, require_observed
@@ -141,7 +139,7 @@ def _drops(fit: ScalarFit, rows: ScalarRows, name: str, tried: FloatArray) -> Fl
     |B| is taken as a linear function of the parameters about the fit: a turn of the field by a column does not show. Errors
     of the field model, which last, count as fewer rows.
     """
-    known, kept = fit.calibration, kept_rows(fit.weights)
+    known, kept = fit.calibration, fit.kept
     true = known.apply(rows.B_nT, np.zeros_like(rows.B_nT), rows.columns)
     along = (true / np.linalg.norm(true, axis=1)[:, None]) @ (np.eye(3) + known.S)
     y = (fit.residuals_nT - drivers.drawn_in(fit.residuals_nT, kept))[:, 0]
@@ -315,7 +313,6 @@ def _report(
         rejected=int((~kept).sum()),
         variation=observability.field_variation(rows.B_nT),
         noise=noise,
-        statistics=residual_statistics(rows.time[kept], residuals_nT[kept]),
         messages=tuple(messages),
         error_model=white_errors(noise.variance_nT2, declared=options.noise_nT is not None),
         driver_covariance=driver_covariance(covariance, problem),

@@ -381,11 +381,10 @@ def _report(
     known = found.calibration
     H_B = np.einsum("kij,kj->ki", found.A, rows.H_N_nT)
     r = H_B - known.apply(rows.B_nT)
-    statistics = residual_statistics(rows.time, r)
     label = {"batch": "batch of motion and magnetometer", "iterative": "TWOSTEP, filter, alignment, linear regression"}
     calibration = replace(
         known,
-        sigma_nT=float(statistics.component_rms_nT),
+        sigma_nT=residual_statistics(rows.time, r).component_rms_nT,
         samples=len(rows),
         span=(rows.time[0], rows.time[-1]),
         field_model=model_name,
@@ -406,7 +405,6 @@ def _report(
         rejected=0,
         variation=field_variation(rows.B_nT),
         noise=noise,
-        statistics=statistics,
         messages=tuple(said),
         q_NB=frames.q_from_rotation(Rotation.from_matrix(found.A)),
         motion={

@@ -101,7 +101,6 @@ OPTIONS = {
     "passes": Option("(N,) labels of the joined rows: what a block is."),
     "errors_in_variables": Option("Correct S for its attenuation by the noise of the reading; on for linear.", bool),
     "weights": Option("(N,) weights of the joined rows, any scale (journal eq. 4)."),
-    "telemetry_bias": Option("An older name of --driver; method scalar.", list[str], "COLUMN"),
     "sun_alignment_deg": Option(
         "How well the mounting of the sun sensor is known; iterative; default: 0.05.",
         float,
@@ -115,9 +114,6 @@ OPTIONS = {
         "JS/JT",
         allowed=lambda value: 0.0 < value < 2.0,
         wanted="Js/Jt, above 0 and below 2",
-    ),
-    "torque_walk_rad_s": Option(
-        "Process noise of the filter; iterative.", allowed=lambda value: value >= 0.0, wanted="rad/s, not negative"
     ),
     "stretch_s": Option(
         "Length of a stretch over which the gyro is integrated [s]; gyro; default: the longest that fits three times.",
@@ -211,7 +207,6 @@ class ScalarOptions(Options):
     """Empty: `b` for center, `b,S` for the others."""
     driver: Sequence[str] = ()
     """Columns of telemetry whose field is estimated too (Springmann & Cutler 2012)."""
-    telemetry_bias: Sequence[str] = ()
     robust: str = "tukey"
     covariance: str = "blocks"
     block_s: float | None = None
@@ -250,7 +245,6 @@ class SpinOptions(Options):
     sun_alignment_deg: float = 0.05
     inertia_ratio: float | None = None
     """None: that of the blind start."""
-    torque_walk_rad_s: float = 0.0
     covariance: str = "blocks"
     robust: str = "tukey"
     """`tukey`: readings beyond six robust sigma are left out, the others weigh alike."""
@@ -321,8 +315,7 @@ class Estimator:
     @property
     def takes(self) -> dict[str, Any]:
         """Its options: fields of the dataclass by name."""
-        other = ("method", "telemetry_bias") if self.drivers_by else ("method",)
-        return {item.name: item for item in fields(self.options) if item.name not in other}
+        return {item.name: item for item in fields(self.options) if item.name != "method"}
 
     def fit(
         self,

@@ -117,7 +117,7 @@ def calibrate_scalar(
     """
     options = ScalarOptions(**given) if options is None else options
     telemetry = joined(records)
-    asked = drivers.asked_for(telemetry, [*options.driver, *options.telemetry_bias])
+    asked = drivers.asked_for(telemetry, options.driver)
     rows = assemble_scalar(telemetry, model, with_dipole="T" in options.parameters, drivers=asked.columns)
     labels = None if options.passes is None else np.asarray(options.passes)[rows.rows]
     own = {name: values for name, values in rows.columns.items() if name not in asked.columns}

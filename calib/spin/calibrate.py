@@ -44,7 +44,7 @@ from fluxtwin.calib.spin.batch import (
     solve_batch,
 )
 from fluxtwin.calib.spin.filter import Filtered, FilterSettings, spin_filter
-from fluxtwin.calib.spin.motion import SpinMotion, skew
+from fluxtwin.calib.spin.motion import SpinMotion
 from fluxtwin.calib.spin.rows import SpinRows, assemble_spin
 from fluxtwin.calib.spin.sedlak import OF_SIGMA, Iterated, at, free_motion, iterate
 from fluxtwin.calib.spin.start import SpinStart, blind_start
@@ -133,7 +133,6 @@ class _Found(NamedTuple):
     """What either way ends with."""
 
     calibration: Calibration
-    A: FloatArray
     motion: SpinMotion
     quality: dict[str, float]
     messages: list[str]
@@ -247,8 +246,7 @@ def _batch(rows: SpinRows, options: SpinOptions, start: SpinStart, sensors: Nois
     r, _ = residuals(solved.state, rows)
     calibration = _from_forward(solved, rows, r, options, max(now.field_chi2, 1.0))
     quality = {"field_chi2": ratio, "sun_chi2": now.sun_chi2, "rounds": float(solved.rounds)}
-    motion = solved.state.motion
-    return _Found(calibration, motion.attitude(rows.t_s), motion, quality, words, ())
+    return _Found(calibration, solved.state.motion, quality, words, ())
 
 
 def _from_forward(solved: Batch, rows: SpinRows, r: FloatArray, options: SpinOptions, inflation: float) -> Calibration:
@@ -276,7 +274,7 @@ def _iterative(
         f"Js/Jt {ratio:.6g} {'as given' if options.inertia_ratio else 'from the blind start'}; the sun sensor's mounting "
         f"known to {options.sun_alignment_deg:g} deg an axis"
     ]
-    settings = FilterSettings(sensors.field_nT, sensors.sun_rad, options.torque_walk_rad_s)
+    settings = FilterSettings(sensors.field_nT, sensors.sun_rad)
     B = (rows.B_nT - o_nT) @ np.linalg.inv(G).T
     done = iterate(rows, B, start.state.motion, ratio, settings, np.radians(options.sun_alignment_deg))
     words.append(
@@ -286,21 +284,20 @@ def _iterative(
         f"the sun sensor's own turn about the sun's line is known to {np.degrees(done.sun_weakest_rad):.2g} deg from these "
         "data alone"
     )
-    known, last, passes = _regress(rows, options, done, noise, settings, ratio)
+    known, last, passes = _regress(rows, done, noise, settings, ratio)
     words.append(
         f"linear regression on that attitude and filter in turn, {passes} more passes: b and D were TWOSTEP's until then"
     )
     words += _finished(last.field_nis, "innovations")
-    motion, A = free_motion(last, ratio), last.A
-    if options.torque_walk_rad_s == 0.0:
-        known, A = _with_motion(known, motion, rows, sensors, options), motion.attitude(rows.t_s)
+    motion = free_motion(last, ratio)
+    known = _with_motion(known, motion, rows, sensors, options)
     quality = {
         "nis_first": done.first.field_nis,
         "nis_last": last.field_nis,
         "sun_nis_last": last.sun_nis,
         "rounds": float(len(done.steps_rad) + passes),
     }
-    return _Found(known, A, motion, quality, words, done.steps_rad)
+    return _Found(known, motion, quality, words, done.steps_rad)
 
 
 def _with_motion(
@@ -316,19 +313,12 @@ def _with_motion(
 
 
 def _regress(
-    rows: SpinRows,
-    options: SpinOptions,
-    done: Iterated,
-    noise: ReadingNoise,
-    settings: FilterSettings,
-    ratio: float,
+    rows: SpinRows, done: Iterated, noise: ReadingNoise, settings: FilterSettings, ratio: float
 ) -> tuple[Calibration, Filtered, int]:
     """Linear regression on the attitude and filter with what it gives, in turn, until a tenth of a sigma is left."""
     sigma_nT = np.sqrt(noise.variance_nT2)
     how = LinearOptions(method="forward", noise_nT=sigma_nT, lsb_nT=0.0, covariance="white", robust="none")
-    free = options.torque_walk_rad_s == 0.0
-    near = replace(settings, extended=not free)
-    motion, A = done.motion, done.last.A
+    near, motion = replace(settings, extended=False), done.motion
     before, moved, left, share, count = np.zeros(12), np.inf, np.inf, 0.0, 0
     begin = min(float(rows.t_s[0]), float(rows.pulse_s[0]))
     while left >= OF_SIGMA:
@@ -340,8 +330,8 @@ def _regress(
                 evidence={"moved_sigma": moved},
             )
         count += 1
-        A = motion.attitude(rows.t_s) if free else A
-        design = Design(rows.time, rows.B_nT, np.einsum("kij,kj->ki", A, rows.H_N_nT), None, rows.rows, {})
+        H_B = np.einsum("kij,kj->ki", motion.attitude(rows.t_s), rows.H_N_nT)
+        design = Design(rows.time, rows.B_nT, H_B, None, rows.rows, {})
         known = fit_design(design, how).calibration
         used = known
         if count % _LEAP == 0 and 0.5 < share < 0.97:
@@ -354,17 +344,13 @@ def _regress(
                 "--method batch solves for both at once",
                 evidence={"passes": count, "nis": min(filtered.field_nis, 1e300)},
             )
-        motion, A = free_motion(filtered, ratio), filtered.A
+        motion = free_motion(filtered, ratio)
         last, moved = moved, float(np.abs((known.values - before) / known.sigmas).max())
         before = used.values
         # The steps shrink by a share of the one before: what is still to come is their geometric rest.
         share = min(moved / last, 0.98)
         left = moved * max(share / (1.0 - share), 1.0)
-    # The attitude's error is common to all rows and turns the whole of it.
-    M = np.eye(3) + known.S
-    turned = np.stack([np.append((skew(e) @ M).ravel(), skew(e) @ known.b_nT) for e in np.eye(3)], axis=1)
-    covariance = known.covariance + turned @ filtered.P[:3, :3] @ turned.T
-    return Calibration(known.S, known.b_nT, None, covariance, options.covariance), filtered, count
+    return known, filtered, count
 
 
 def _finished(ratio: float, what: str) -> list[str]:
@@ -378,9 +364,9 @@ def _finished(ratio: float, what: str) -> list[str]:
 def _report(
     rows: SpinRows, options: SpinOptions, found: _Found, noise: ReadingNoise, messages: list[str], model_name: str
 ) -> SpinFit:
-    known = found.calibration
-    H_B = np.einsum("kij,kj->ki", found.A, rows.H_N_nT)
-    r = H_B - known.apply(rows.B_nT)
+    known, motion = found.calibration, found.motion
+    A = motion.attitude(rows.t_s)
+    r = np.einsum("kij,kj->ki", A, rows.H_N_nT) - known.apply(rows.B_nT)
     label = {"batch": "batch of motion and magnetometer", "iterative": "TWOSTEP, filter, alignment, linear regression"}
     calibration = replace(
         known,
@@ -391,7 +377,6 @@ def _report(
         method=f"{label[options.method]} for b,S, spinning, without attitude",
         unobservable=(GAUGE,),
     )
-    motion = found.motion
     nutation_deg = float(np.degrees(motion.nutation_rad))
     said = [*messages, *found.messages, f"nutation {nutation_deg:.3g} deg, Js/Jt {motion.inertia_ratio:.6g}"]
     return SpinFit(
@@ -406,7 +391,7 @@ def _report(
         variation=field_variation(rows.B_nT),
         noise=noise,
         messages=tuple(said),
-        q_NB=frames.q_from_rotation(Rotation.from_matrix(found.A)),
+        q_NB=frames.q_from_rotation(Rotation.from_matrix(A)),
         motion={
             "spin_rad_s": motion.spin_rad_s,
             "nutation_deg": nutation_deg,

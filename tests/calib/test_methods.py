@@ -36,7 +36,7 @@ def test_the_command_line_has_every_option_but_those_for_python_alone(cli: Calla
     for one in methods.offered():
         flag = f"--{one.name.replace('_', '-')} "
         assert (flag in shown) == (one.option.kind is not None), flag
-    assert not {"--weights", "--passes", "--torque-walk-rad-s"} & set(shown.split())
+    assert not {"--weights", "--passes"} & set(shown.split())
 
 
 @pytest.mark.parametrize("name", list(methods.ESTIMATORS))

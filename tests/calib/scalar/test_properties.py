@@ -140,10 +140,8 @@ def test_one_record_whatever_the_method(record: Telemetry, model: FieldModel, tm
         ("center", {"parameters": "b,S"}, "CENTER finds the bias alone"),
         ("twostep", {"parameters": "b,S,T"}, "method scalar"),
         ("twostep", {"robust": "cauchy"}, "robust"),
-        ("twostep", {"telemetry_bias": ["array_current_A"]}, "method scalar"),
-        ("scalar", {"telemetry_bias": ["array_curent_A"]}, "'array_current_A' is near"),
+        ("scalar", {"driver": ["array_curent_A"]}, "'array_current_A' is near"),
         ("scalar", {"errors_in_variables": True}, "method linear"),
-        ("linear", {"telemetry_bias": ["array_current_A"]}, "method scalar"),
         ("scalar", {"parameters": "S"}, "parameters"),
         ("scalar", {"covariance": "pink"}, "covariance"),
         ("scalar", {"noise_nT": -1.0}, "noise_nT"),
@@ -163,7 +161,7 @@ def test_rows_left_out_are_counted(record: Telemetry, model: FieldModel) -> None
     mag, r, current = record.mag_B_nT.copy(), record.r_N_km.copy(), record.array_current_A.copy()
     mag[5:15], r[20:22], current[30:33] = np.nan, np.nan, np.nan
     part = record.replace(mag_B_nT=mag, r_N_km=r, array_current_A=current)
-    fit = calibrate_scalar(part, model, telemetry_bias=["array_current_A"])
+    fit = calibrate_scalar(part, model, driver=["array_current_A"])
     assert fit.left_out == {"no reading": 10, "no position": 2, "no array_current_A": 3}
     assert fit.rows[5] == 15
     with pytest.raises(NoAnswer, match="900 rows have no position"):
@@ -179,7 +177,7 @@ def test_a_field_that_follows_a_column_survives_saving(record: Telemetry, model:
     s = np.array([900.0, -600.0, 300.0])
     current = (np.arange(len(record)) // 40 % 2).astype(float)
     disturbed = record.replace(mag_B_nT=record.mag_B_nT + current[:, None] * s, array_current_A=current)
-    fit = calibrate_scalar(disturbed, model, telemetry_bias=["array_current_A"])
+    fit = calibrate_scalar(disturbed, model, driver=["array_current_A"])
     path = fit.calibration.to_toml(tmp_path / "known.toml")
     again = Calibration.from_toml(path)
     bias = again.telemetry_bias["array_current_A"]

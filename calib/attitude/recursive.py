@@ -13,7 +13,7 @@ over the times that the innovations allow.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -23,7 +23,6 @@ from scipy.spatial.transform import Rotation
 from fluxtwin.calib.attitude.filter import (
     SENSORS,
     FilterRows,
-    FilterStart,
     Learned,
     Noises,
     Run,
@@ -103,9 +102,13 @@ def calibrate_recursive(
         first[:9, :9] = 0.0
     rows, p, far = _without_outliers(telemetry, rows, model, parameters)
     taken = learned(rows, begun, declared, p, first, by_field=False)
-    noises = taken.noises
-    done, passes = _settled(rows, begun, noises, p, first)
-    mean, C = _averaged(rows, begun, noises, done, first, declared)
+
+    def passed(noises: Noises, p: FloatArray) -> Run:
+        """Linearised about p, of which no more is known than at first."""
+        return run(rows, begun, noises, p, first)
+
+    done, passes = _settled(passed, taken.noises, p, first)
+    mean, C = _averaged(passed, taken.noises, done.p, declared)
     done = done._replace(p=mean, p_covariance=C)
     _require_known(done, first)
     return _report(telemetry, rows, done, taken, parameters, passes, model, declared=noise_nT is not None, far=far)
@@ -134,12 +137,12 @@ def _without_outliers(
 
 
 def _settled(
-    rows: FilterRows, begun: Sequence[FilterStart], noises: Noises, p: FloatArray, first: FloatArray
+    passed: Callable[[Noises, FloatArray], Run], noises: Noises, p: FloatArray, first: FloatArray
 ) -> tuple[Run, int]:
     """The pass that moves the answer by less than a twentieth of a sigma, and how many it took."""
     moved = np.inf
     for count in range(1, _PASSES + 1):
-        done = run(rows, begun, noises, p, first)
+        done = passed(noises, p)
         sigma = np.sqrt(np.diag(done.p_covariance))
         moved = float(np.abs((done.p - p) / np.where(sigma > 0, sigma, 1.0)).max())
         p = done.p
@@ -150,12 +153,7 @@ def _settled(
 
 
 def _averaged(
-    rows: FilterRows,
-    begun: Sequence[FilterStart],
-    noises: Noises,
-    done: Run,
-    first: FloatArray,
-    declared: dict[str, float],
+    passed: Callable[[Noises, FloatArray], Run], noises: Noises, p: FloatArray, declared: dict[str, float]
 ) -> tuple[FloatArray, FloatArray]:
     """p and its covariance, over durations of the slow errors weighted by their likelihood."""
     drift = (0.0,) if "drift_s" in declared else _LONGER
@@ -163,24 +161,18 @@ def _averaged(
     answers = []
     for of_drift, of_slow in itertools.product(drift, slow):
         sized = {} if "drift_rad" in declared else {"drift_rad": noises.drift_rad * np.exp(0.5 * of_drift)}
-        one = run(
-            rows,
-            begun,
-            noises._replace(
-                drift_s=noises.drift_s * np.exp(of_drift),
-                slow_nT=noises.slow_nT * np.exp(0.5 * of_slow),
-                slow_s=noises.slow_s * np.exp(of_slow),
-                **sized,
-            ),
-            done.p,
-            first,
+        longer = noises._replace(
+            drift_s=noises.drift_s * np.exp(of_drift),
+            slow_nT=noises.slow_nT * np.exp(0.5 * of_slow),
+            slow_s=noises.slow_s * np.exp(of_slow),
+            **sized,
         )
-        answers.append((one.cost, one.p, one.p_covariance))
-    cost, p, C = (np.array([one[k] for one in answers]) for k in range(3))
+        answers.append(passed(longer, p))
+    cost, values, C = (np.array([getattr(one, name) for one in answers]) for name in ("cost", "p", "p_covariance"))
     weight = np.exp(-0.5 * (cost - cost.min()))
     weight /= weight.sum()
-    mean = weight @ p
-    off = p - mean
+    mean = weight @ values
+    off = values - mean
     return mean, np.asarray(np.einsum("k,kij->ij", weight, C + off[:, :, None] * off[:, None, :]))
 
 

@@ -44,9 +44,8 @@ _CONSISTENT = (0.8, 1.25)
 _REPEATS = 0.2  # correlation of neighbouring innovations of the field
 _MOST_OUTLIERS = 0.05  # share of innovations of a sensor
 _EXPLAINED = 1.5  # error of the field over that which calibration and noise explain
-_LASTING_S = (
-    1000.0  # an error of scanner or reference that lasts so long may as well be a mounting, or the sun sensor's
-)
+# An error of scanner or reference that lasts so long may as well be a mounting, or the sun sensor's.
+_LASTING_S = 1000.0
 
 
 @dataclass(frozen=True)

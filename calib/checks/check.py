@@ -17,12 +17,12 @@ from typing import Any, Literal
 
 import numpy as np
 
-from fluxtwin.calib.checks.calibrated import check_calibrated
 from fluxtwin.calib.checks.field import check_field
 from fluxtwin.calib.checks.outliers import check_outliers
 from fluxtwin.calib.checks.report import CheckReport, Finding, note, report, trap
 from fluxtwin.calib.checks.sample import Origin, comparable
 from fluxtwin.calib.checks.stuck import check_stuck
+from fluxtwin.calib.checks.unit import check_calibrated
 from fluxtwin.calib.checks.values import check_motion, check_readings
 from fluxtwin.calib.common.records import Onboard
 from fluxtwin.sim.base.errors import BadInput

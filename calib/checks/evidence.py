@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from fluxtwin.calib.common.direction import of_parameters
 from fluxtwin.sim.base.types import FloatArray
 
 S_SIGMA, BIAS_SIGMA_nT = 0.05, 30_000.0
@@ -46,10 +47,7 @@ class Evidence:
 
 def vector_evidence(seconds: FloatArray, mag_nT: FloatArray, predicted_nT: FloatArray) -> Evidence:
     """Evidence of predictions (K, n, 3) of the body field for readings (n, 3) at `seconds` (n,)."""
-    design = np.zeros((len(mag_nT), 3, 12))
-    for i in range(3):
-        design[:, i, 3 * i : 3 * i + 3] = mag_nT / _SCALE_nT
-        design[:, i, 9 + i] = 1.0
+    design = of_parameters(mag_nT / _SCALE_nT)
     return compare(seconds, design, np.moveaxis(predicted_nT - mag_nT, 0, 2), VECTOR_SIGMAS_nT, mag_nT, step_nT(mag_nT))
 
 

@@ -22,7 +22,9 @@ from fluxtwin.calib.common.covariance import (
     FEWEST_BLOCKS,
     batch_widening,
     bread_of,
+    cells,
     groupings,
+    kernel_moments,
     observed_s,
     plain_covariance,
     sandwich_covariance,
@@ -32,7 +34,6 @@ from fluxtwin.calib.common.covariance import (
 from fluxtwin.calib.common.digits import plain
 from fluxtwin.calib.common.error_model import DECLARED, FOUND, ErrorModel, Posterior, find_errors
 from fluxtwin.calib.common.shrinkage import grown, half_of, in_units_of
-from fluxtwin.calib.common.slow_errors import cells, kernel_moments
 from fluxtwin.calib.linear.estimating_equations import Spread, evidence, of_blocks, spread_of, sums, white_of
 from fluxtwin.calib.linear.problem import LinearProblem, Solution
 from fluxtwin.sim.base.types import FloatArray

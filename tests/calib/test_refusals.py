@@ -95,7 +95,7 @@ REFUSALS: dict[str, Callable[[], object]] = {
     "noise of .* deg/s per rate looks like rotation": lambda: too_slow(1.0),
     "do not determine .*b3": lambda: recursive._require_known(SimpleNamespace(p_covariance=ONE), ONE),
     r"still change the answer by 1e\+03 sigma after 6": lambda: recursive._settled(
-        None, (), None, np.zeros(12), 1e6 * ONE
+        lambda _, p: SimpleNamespace(p=p + 1.0, p_covariance=1e-6 * ONE), None, np.zeros(12), 1e6 * ONE
     ),
     "the batch leaves residuals 100 times the noise": lambda: spin._batch(
         None, KNOWN, SimpleNamespace(state=None), None
@@ -125,7 +125,6 @@ REFUSALS: dict[str, Callable[[], object]] = {
 def test_no_answer_is_given(monkeypatch: pytest.MonkeyPatch, said: str) -> None:
     far = SimpleNamespace(field_chi2=1e4, sun_chi2=1.0)
     fields = SimpleNamespace(b_nT=np.array([50.0, 0.0, 0.0]), covariance=ONE)
-    moved = SimpleNamespace(p_covariance=1e-6 * ONE)
     for module, name, stand_in in (
         (spin, "solve_batch", lambda *_: SimpleNamespace(normal=far, converged=True)),
         (spin, "_REGRESSIONS", 0 if said.startswith("still") else 1),
@@ -133,7 +132,6 @@ def test_no_answer_is_given(monkeypatch: pytest.MonkeyPatch, said: str) -> None:
         (spin, "spin_filter", lambda *_: SimpleNamespace(field_nis=1e4)),
         (spin, "at", lambda *_: (None, None)),
         (sedlak, "_PASSES", 0),
-        (recursive, "run", lambda _, __, ___, p, ____: SimpleNamespace(p=p + 1.0, **vars(moved))),
         (gyro, "solve", lambda *_, **__: fields),
         (gyro, "fields_without_errors", lambda *_: READING),
     ):

@@ -125,7 +125,7 @@ def compare(
             found[name] = MethodResult(name, why_not=_why_not(error, given))
     if not errors:
         reasons = "; ".join(f"{one.method}: {one.why_not}" for one in found.values())
-        raise NoAnswer(f"no method gives an answer. {reasons}", evidence={})
+        raise NoAnswer(f"no method gives an answer. {reasons}")
     # (N,) rows that every method predicts, without those that are outliers for all of them.
     finite = np.all([np.isfinite(one).all(axis=1) for one in errors.values()], axis=0)
     kept: BoolArray = np.array(finite)

@@ -103,7 +103,7 @@ def require_excitation(
     square = (x * a[:, None]).T @ x
     field_rms_nT = float(np.sqrt(np.trace(square[:3, :3])))
     if not field_rms_nT > 0:
-        raise NoAnswer("the magnetometer reads zero throughout: nothing can be calibrated", evidence={})
+        raise NoAnswer("the magnetometer reads zero throughout: nothing can be calibrated")
     scale = np.concatenate([np.full(3, field_rms_nT), np.sqrt(np.diag(square)[3:])])
     gram = np.ones((scale.size + 1, scale.size + 1))
     gram[0, 1:] = gram[1:, 0] = a @ x / scale

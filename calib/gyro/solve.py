@@ -342,7 +342,6 @@ def _covariance(parts: Sequence[Cleared], theta: FloatArray, normal: FloatArray,
         raise NoAnswer(
             "S is not determined: the body turned too little, or about too few axes, and nothing but noise moves a "
             "combination of S, b and the gyro's bias. Use --parameters b, or a longer record",
-            evidence={},
         )
     down = np.linalg.inv(np.linalg.cholesky(normal))
     moved = np.empty((len(parts), len(theta)))

@@ -174,5 +174,5 @@ def make_problem(rows: ScalarRows, options: ScalarOptions) -> ScalarProblem:
     data = ScalarData(rows.B_nT / scale, rows.H_nT / scale, used, _SMALL**2 * np.eye(3), options.parameters != "b")
     require_samples(len(rows), data.size + 1)
     if not (data.B**2).sum() > 0:
-        raise NoAnswer("the magnetometer reads zero throughout: nothing can be calibrated", evidence={})
+        raise NoAnswer("the magnetometer reads zero throughout: nothing can be calibrated")
     return ScalarProblem(rows, options, data, scale, columns, units)

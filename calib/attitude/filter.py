@@ -391,10 +391,13 @@ def learned(
         values[free] = np.exp(logs)
         return Noises(*values.tolist())
 
+    def cost_at(logs: FloatArray) -> float:
+        return cost(at(logs))
+
     how: Any = {"eps": 1e-3, "maxiter": 80, "ftol": 3e-6}  # the stubs of scipy do not know eps
     bounds = np.log(np.array(_BOUNDS)[free])
     start = np.log(np.array(noises)[free])
-    found = minimize(lambda logs: cost(at(logs)), start, method="L-BFGS-B", bounds=bounds.tolist(), options=how)
+    found = minimize(cost_at, start, method="L-BFGS-B", bounds=bounds.tolist(), options=how)
     best = at(found.x)
     highest = found.x > bounds[:, 1] - 1e-3
     above = tuple(name for name, high in zip(names, highest, strict=True) if high and name not in _DURATIONS)

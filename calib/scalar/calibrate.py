@@ -64,46 +64,43 @@ class ScalarFit(Fit):
 def file_parameters(
     p: FloatArray, covariance: FloatArray, problem: ScalarProblem
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, dict[str, TelemetryBias]]:
-    """S (3, 3), b_nT (3,), T (3, 3), their covariance (21, 21) in the order of the calibration file, and other fields.
+    """S (3, 3), b_nT (3,), T (3, 3), their covariance in the order of the calibration file, and other fields.
+
+    The covariance is (21 + 3J, 21 + 3J), that of the other fields behind it.
 
     O = I: I + S = I + D, b = -b_A, T = -(I+D) s.
     """
-    data, scale_nT = problem.data, problem.scale_nT
+    data, scale_nT, columns = problem.data, problem.scale_nT, problem.columns
     D, b, s = unpack(p, data)
     at = 6 if data.with_D else 0
-    sigma_s = np.sqrt(np.diag(covariance))[at + 3 :].reshape(-1, 3)
-    biases = {}
-    P = np.eye(3) + D
-    T = np.zeros((3, 3))
-    jacobian = np.zeros((21, len(p)))
-    if data.with_D:
-        for k, (i, j) in enumerate(PAIRS):
-            jacobian[3 * i + j, k] = jacobian[3 * j + i, k] = 1.0
+    P, T = np.eye(3) + D, np.zeros((3, 3))
+    jacobian = np.zeros((21 + 3 * len(problem.drivers), len(p)))
+    for k, (i, j) in enumerate(PAIRS if data.with_D else ()):
+        jacobian[3 * i + j, k] = jacobian[3 * j + i, k] = 1.0
     jacobian[9:12, at : at + 3] = -scale_nT * np.eye(3)
-    for j, name in enumerate(problem.columns):
-        per = scale_nT / problem.units[j]
+    row = 21
+    for j, name in enumerate(columns):
+        per, own = scale_nT / problem.units[j], slice(at + 3 + 3 * j, at + 6 + 3 * j)
         if name not in DIPOLES:
-            biases[name] = TelemetryBias(s[j] * per, sigma_s[j] * per)
+            jacobian[row : row + 3, own] = per * np.eye(3)
+            row += 3
             continue
         axis = DIPOLES.index(name)
         T[:, axis] = -per * P @ s[j]
         rows = 12 + 3 * np.arange(3) + axis
-        jacobian[rows, at + 3 + 3 * j : at + 6 + 3 * j] = -per * P
-        if data.with_D:
-            for k, (m, n) in enumerate(PAIRS):
-                unit = np.zeros((3, 3))
-                unit[m, n] = unit[n, m] = 1.0
-                jacobian[rows, k] = -per * unit @ s[j]
-    return D, -b * scale_nT, T, jacobian @ covariance @ jacobian.T, biases
-
-
-def driver_covariance(covariance: FloatArray, problem: ScalarProblem) -> FloatArray:
-    """(3J, 3J) of the fields that follow columns other than the dipole."""
-    own = [problem.columns.index(name) for name in problem.drivers]
-    start = (6 if problem.data.with_D else 0) + 3
-    place = np.array([start + 3 * j + axis for j in own for axis in range(3)], dtype=int)
-    per = np.repeat(problem.scale_nT / problem.units[own], 3)
-    return np.asarray(np.outer(per, per) * covariance[np.ix_(place, place)])
+        jacobian[rows, own] = -per * P
+        for k, (m, n) in enumerate(PAIRS if data.with_D else ()):
+            unit = np.zeros((3, 3))
+            unit[m, n] = unit[n, m] = 1.0
+            jacobian[rows, k] = -per * unit @ s[j]
+    whole = jacobian @ covariance @ jacobian.T
+    fields_nT = scale_nT / problem.units[:, None] * s
+    sigmas_nT = np.sqrt(np.diag(whole)[21:]).reshape(-1, 3)
+    biases = {
+        name: TelemetryBias(fields_nT[columns.index(name)], sigma_nT)
+        for name, sigma_nT in zip(problem.drivers, sigmas_nT, strict=True)
+    }
+    return D, -b * scale_nT, T, whole, biases
 
 
 def calibrate_scalar(
@@ -292,7 +289,7 @@ def _report(
         S=S,
         b_nT=b_nT,
         T_nT_per_Am2=T if with_T else None,
-        covariance=whole if with_T else whole[:12, :12],
+        covariance=whole[:21, :21] if with_T else whole[:12, :12],
         covariance_kind=options.covariance,
         sigma_nT=sigma_nT,
         samples=int(kept.sum()),
@@ -315,7 +312,7 @@ def _report(
         noise=noise,
         messages=tuple(messages),
         error_model=white_errors(noise.variance_nT2, declared=options.noise_nT is not None),
-        driver_covariance=driver_covariance(covariance, problem),
+        driver_covariance=whole[21:, 21:],
         quality={
             "chi2_per_sample": inflation,
             "field_size_variation": problem.geometry.constant_share,

@@ -172,10 +172,9 @@ def assemble_rows(
     pairs, any_seen = int((nadir & sun_seen).sum()), int((nadir | sun_seen).sum())
     by_sensors = any_seen > 0 and ((pairs > 0 and pairs >= _COVERS * given) or given < _COVERS * any_seen)
     sensors = " and ".join(name for name, seen in (("nadir", nadir), ("sun", sun_seen)) if seen.any())
-    source, set_aside = (
-        (sensors, "reference attitude" if given else "") if by_sensors else ("reference attitude", sensors)
-    )
+    source, set_aside = sensors, "reference attitude" if given else ""
     if not by_sensors:
+        source, set_aside = "reference attitude" if given else "no other sensor", sensors
         nadir_B, sun_B = np.full_like(nadir_B, np.nan), np.full_like(sun_B, np.nan)
     attitude = telemetry.has_attitude & (not by_sensors)
     measured = telemetry.has_reading | attitude | np.isfinite(nadir_B).all(axis=1) | np.isfinite(sun_B).all(axis=1)
@@ -207,7 +206,7 @@ def assemble_rows(
         R_BN=A,
         rows=rows,
         left_out=left_out,
-        source=source if by_sensors or given else "no other sensor",
+        source=source,
         set_aside=set_aside,
     )
 

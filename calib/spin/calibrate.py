@@ -35,7 +35,6 @@ from fluxtwin.calib.linear.calibrate import fit_design
 from fluxtwin.calib.scalar.model import ScalarData, pack, residual, solve
 from fluxtwin.calib.scalar.twostep import twostep
 from fluxtwin.calib.spin.batch import (
-    Batch,
     Noise,
     State,
     covariance_of_normal,
@@ -243,20 +242,21 @@ def _batch(rows: SpinRows, options: SpinOptions, start: SpinStart, sensors: Nois
             evidence={"field_chi2": now.field_chi2, "sun_chi2": now.sun_chi2},
         )
     words += _finished(ratio, "residuals")
-    r, _ = residuals(solved.state, rows)
-    calibration = _from_forward(solved, rows, r, options, max(now.field_chi2, 1.0))
+    calibration = _from_forward(solved.state, solved.covariance, rows, options, max(now.field_chi2, 1.0))
     quality = {"field_chi2": ratio, "sun_chi2": now.sun_chi2, "rounds": float(solved.rounds)}
     return _Found(calibration, solved.state.motion, quality, words, ())
 
 
-def _from_forward(solved: Batch, rows: SpinRows, r: FloatArray, options: SpinOptions, inflation: float) -> Calibration:
-    """G, o and their covariance as S, b."""
-    known = correction_from_forward(Forward(solved.state.G, solved.state.o_nT))
+def _from_forward(
+    state: State, covariance: FloatArray, rows: SpinRows, options: SpinOptions, inflation: float = 1.0
+) -> Calibration:
+    """G, o and their covariance (19, 19) as S, b."""
+    known = correction_from_forward(Forward(state.G, state.o_nT))
     order = [*range(10, 19), *range(7, 10)]
     jacobian = forward_jacobian(known)[:12, :12]
-    covariance = jacobian @ solved.covariance[np.ix_(order, order)] @ jacobian.T * inflation
+    covariance = jacobian @ covariance[np.ix_(order, order)] @ jacobian.T * inflation
     if options.covariance == "blocks":
-        covariance = covariance * batch_widening(r, segments(rows.time))
+        covariance = covariance * batch_widening(residuals(state, rows)[0], segments(rows.time))
     return Calibration(known.S, known.b_nT, None, covariance, options.covariance)
 
 
@@ -306,10 +306,7 @@ def _with_motion(
     """The same values with the covariance that leaves the motion free too: of the batch's equations there."""
     forward = known.forward
     state = State(motion, forward.G, forward.o_nT)
-    now = normal_equations(state, rows, sensors)
-    solved = Batch(state, covariance_of_normal(now), now, True, 0)
-    r, _ = residuals(state, rows)
-    return _from_forward(solved, rows, r, options, 1.0)
+    return _from_forward(state, covariance_of_normal(normal_equations(state, rows, sensors)), rows, options)
 
 
 def _regress(

@@ -74,18 +74,16 @@ class RecursiveFit(Fit):
         return {**super().to_dict(), "noises": self.noises._asdict()}
 
 
-def calibrate_recursive(
-    records: Telemetry | Sequence[Telemetry], model: FieldModel, options: RecursiveOptions | None = None, **given: Any
-) -> RecursiveFit:
+def calibrate_recursive(records: Telemetry | Sequence[Telemetry], model: FieldModel, **given: Any) -> RecursiveFit:
     """S and b (or b alone) by a Kalman filter over readings, nadir and sun, or the reference attitude.
 
-    given: fields of `RecursiveOptions`, where no options are; the error of the attitude is that of the scanner, or of the
+    given: fields of `RecursiveOptions`; the error of the attitude is that of the scanner, or of the
     reference attitude where there is no scanner. What is None is found in the innovations.
 
     Raises BadInput for options that this method does not take, NoAnswer where the attitude cannot be started from nadir and
     sun or from a reference, and, with the names of the parameters, where the data do not determine them.
     """
-    options = RecursiveOptions(**given) if options is None else options
+    options = RecursiveOptions(**given)
     parameters, noise_nT = options.parameters, options.noise_nT
     telemetry = joined(records)
     rows = assemble_rows(telemetry, model)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
+from functools import partial
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, ClassVar, cast
 
@@ -307,7 +308,7 @@ class Estimator:
     """What the telemetry must have besides readings: positions, attitude, sun pulses, body rates."""
     options: type[Options]
     home: str
-    """`module:function`, imported when it is used: `function(telemetry, model, options)` gives the `Fit`."""
+    """`module:function`, imported when it is used: `function(telemetry, model, **options)` gives the `Fit`."""
     drivers_by: str = ""
     """`module:function` of the method that finds the fields of `--driver` where this one takes the spacecraft's own field
     for constant; empty where it fits them itself."""
@@ -331,19 +332,16 @@ class Estimator:
         sigmas: whether those of S and b have to contain what the fields of columns leave open, which takes refits.
         """
         progress(f"calibrating by {self.name}", 0.0)
-        fit, options = _imported(self.home), self.options(method=self.name, **given)
+        fit = partial(_imported(self.home), model=model, method=self.name, **given)
         if not self.drivers_by or not given.get("driver"):
-            return cast("Fit", fit(telemetry, model, options))
+            return fit(telemetry)
         from fluxtwin.calib.common.drivers import taken_out_first
 
-        own = self.options(method=self.name, **{**given, "driver": ()})
         shared = {name: value for name, value in given.items() if name in _OF_READINGS}
         found = _imported(self.drivers_by)(telemetry, model, **shared)
-        return taken_out_first(
-            telemetry, found, lambda freed: cast("Fit", fit(freed, model, own)), progress, sigmas=sigmas
-        )
+        return taken_out_first(telemetry, found, partial(fit, driver=()), progress, sigmas=sigmas)
 
 
-def _imported(home: str) -> Callable[..., Any]:
+def _imported(home: str) -> Callable[..., Fit]:
     module, _, function = home.partition(":")
-    return cast(Callable[..., Any], getattr(import_module(module), function))
+    return cast("Callable[..., Fit]", getattr(import_module(module), function))

@@ -48,15 +48,13 @@ class GyroFit(Fit):
     solved: Solved
 
 
-def calibrate_gyro(
-    records: Telemetry | Sequence[Telemetry], model: FieldModel, options: GyroOptions | None = None, **given: Any
-) -> GyroFit:
+def calibrate_gyro(records: Telemetry | Sequence[Telemetry], model: FieldModel, **given: Any) -> GyroFit:
     """S (of trace zero) and b from readings and body rates; the field model, positions and attitude are not looked at.
 
     Raises BadInput where the telemetry has no rates, NoAnswer where too few rows follow each other closely enough, or the
     body turned so little that b is not determined, with the direction.
     """
-    options = GyroOptions(**given) if options is None else options
+    options = GyroOptions(**given)
     telemetry = joined(records)
     rates = telemetry.rate_B_rad_s
     if rates is None:

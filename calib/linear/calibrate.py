@@ -67,15 +67,13 @@ class LinearFit(Fit):
         }
 
 
-def calibrate_linear(
-    records: Telemetry | Sequence[Telemetry], model: FieldModel, options: LinearOptions | None = None, **given: Any
-) -> LinearFit:
+def calibrate_linear(records: Telemetry | Sequence[Telemetry], model: FieldModel, **given: Any) -> LinearFit:
     """Calibrate one or several records against `model` and their reference attitude.
 
-    given: fields of `LinearOptions`, where no options are. Raises BadInput for unknown options and absent columns,
+    given: fields of `LinearOptions`. Raises BadInput for unknown options and absent columns,
     OutOfRange for epochs outside the model, NoAnswer, naming the parameters, when the data do not determine them.
     """
-    options = LinearOptions(**given) if options is None else options
+    options = LinearOptions(**given)
     telemetry = joined(records)
     asked = drivers.asked_for(telemetry, options.driver)
     design = assemble(telemetry, model, with_dipole="T" in options.parameters, columns=asked.columns)

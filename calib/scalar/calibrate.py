@@ -103,16 +103,14 @@ def file_parameters(
     return D, -b * scale_nT, T, whole, biases
 
 
-def calibrate_scalar(
-    records: Telemetry | Sequence[Telemetry], model: FieldModel, options: ScalarOptions | None = None, **given: Any
-) -> ScalarFit:
+def calibrate_scalar(records: Telemetry | Sequence[Telemetry], model: FieldModel, **given: Any) -> ScalarFit:
     """Calibrate one or several records against |H| of `model`; no attitude is looked at.
 
-    given: fields of `ScalarOptions`, where no options are. Raises BadInput for unknown options and absent columns,
+    given: fields of `ScalarOptions`. Raises BadInput for unknown options and absent columns,
     OutOfRange for epochs outside the model, NoAnswer, naming the parameters and the null direction, when the data do not
     determine them or two solutions fit alike.
     """
-    options = ScalarOptions(**given) if options is None else options
+    options = ScalarOptions(**given)
     telemetry = joined(records)
     asked = drivers.asked_for(telemetry, options.driver)
     rows = assemble_scalar(telemetry, model, with_dipole="T" in options.parameters, drivers=asked.columns)

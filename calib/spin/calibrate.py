@@ -138,15 +138,13 @@ class _Found(NamedTuple):
     steps_rad: tuple[float, ...]
 
 
-def calibrate_spin(
-    records: Telemetry | Sequence[Telemetry], model: FieldModel, options: SpinOptions | None = None, **given: Any
-) -> SpinFit:
-    """S (9) and b (3) of one record of a spinner with sun pulses; given: fields of `SpinOptions`, where no options are.
+def calibrate_spin(records: Telemetry | Sequence[Telemetry], model: FieldModel, **given: Any) -> SpinFit:
+    """S (9) and b (3) of one record of a spinner with sun pulses; given: fields of `SpinOptions`.
 
     Raises BadInput for unknown options or no sun column, NoAnswer, in words, where no free motion fits, the iteration
     does not settle, or readings and pulses are too few.
     """
-    fit = fit_spin(assemble_spin(records, model), options or SpinOptions(**given), model_name=model.name)
+    fit = fit_spin(assemble_spin(records, model), SpinOptions(**given), model_name=model.name)
     return with_warnings(fit, joined(records), robust=fit.rejected > 0)
 
 

@@ -337,6 +337,7 @@ class Estimator:
             return fit(telemetry)
         from fluxtwin.calib.common.drivers import taken_out_first
 
+        self.options(method=self.name, **given)  # refuses what is not allowed before the fields are looked for
         shared = {name: value for name, value in given.items() if name in _OF_READINGS}
         found = _imported(self.drivers_by)(telemetry, model, **shared)
         return taken_out_first(telemetry, found, partial(fit, driver=()), progress, sigmas=sigmas)

@@ -13,9 +13,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from scipy.stats import chi2
 
-from fluxtwin.calib.common.conventions import of_S
 from fluxtwin.calib.common.digits import measured
-from fluxtwin.calib.common.direction import CONFIDENCE, DirectionKnowledge, direction_knowledge
+from fluxtwin.calib.common.direction import CONFIDENCE, DirectionKnowledge, direction_knowledge, of_parameters
 from fluxtwin.calib.common.error_model import ErrorModel
 from fluxtwin.calib.common.observability import correlated_pairs, direction_words
 from fluxtwin.calib.common.orbit_error import stated_km
@@ -201,7 +200,7 @@ def _along(fit: Fit, telemetry: Telemetry, field_nT: FloatArray, kept: BoolArray
     turned = u @ (np.eye(3) + fit.calibration.S)
     noise = float(np.sqrt(((turned**2) @ fit.noise.variance_nT2).mean()))
     # Noise is new in every row: what lasts in the residual is no noise, but for the errors of the calibration itself.
-    images = np.einsum("ni,nik->nk", u, np.concatenate([of_S(B), np.broadcast_to(np.eye(3), (len(B), 3, 3))], axis=2))
+    images = np.einsum("ni,nik->nk", u, of_parameters(B))
     own = float(np.einsum("nj,jk,nk->n", images, fit.calibration.covariance[:12, :12], images).mean())
     if fit.error_model is not None and fit.error_model.slow_nT > 0.0:
         own *= _not_of_slow_errors(fit.error_model, noise, telemetry.time[fit.rows][kept])

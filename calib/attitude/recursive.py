@@ -109,7 +109,7 @@ def calibrate_recursive(records: Telemetry | Sequence[Telemetry], model: FieldMo
     mean, C = _averaged(passed, taken.noises, done.p, declared)
     done = done._replace(p=mean, p_covariance=C)
     _require_known(done, first)
-    return _report(telemetry, rows, done, taken, parameters, passes, model, declared=noise_nT is not None, far=far)
+    return with_warnings(_report(rows, done, taken, options, model, passes, far), telemetry, robust=True)
 
 
 def _without_outliers(
@@ -182,18 +182,15 @@ def _require_known(done: Run, first: FloatArray) -> None:
 
 
 def _report(
-    telemetry: Telemetry,
     rows: FilterRows,
     done: Run,
     taken: Learned,
-    parameters: str,
-    passes: int,
+    options: RecursiveOptions,
     model: FieldModel,
-    *,
-    declared: bool,
+    passes: int,
     far: BoolArray,
 ) -> RecursiveFit:
-    noises = taken.noises
+    noises, declared = taken.noises, options.noise_nT is not None
     S, b_nT = done.p[:9].reshape(3, 3), done.p[9:]
     kept = np.flatnonzero(np.isfinite(rows.reading_nT).all(axis=1) & np.isfinite(done.A[:, 0, 0]))
     B, A = rows.reading_nT[kept], done.A[kept]
@@ -203,7 +200,7 @@ def _report(
     variation = field_variation(B[~outlying])
     words = [
         *pair_words(done.p_covariance, False, float(np.sqrt((B**2).mean())), sigma_nT),
-        *(weak_direction_words(variation, done.p_covariance) if parameters == "b,S" else []),
+        *(weak_direction_words(variation, done.p_covariance) if options.parameters == "b,S" else []),
     ]
     calibration = Calibration(
         S=S,
@@ -214,7 +211,7 @@ def _report(
         samples=len(kept),
         span=(rows.time[kept[0]], rows.time[kept[-1]]),
         field_model=model.name,
-        method=f"recursive filter for {parameters}, attitude estimated too",
+        method=f"recursive filter for {options.parameters}, attitude estimated too",
         unobservable=tuple(words),
     )
     noise = ReadingNoise(
@@ -237,7 +234,7 @@ def _report(
         say("attitude.of_reference", white_deg=white_deg, drift_deg=drift_deg, n=noises),
         say("attitude.fit_innovations", nis=innovations, correlation=lag_correlation, passes=passes),
     ]
-    fit = RecursiveFit(
+    return RecursiveFit(
         calibration=calibration,
         method="recursive",
         time=rows.time[kept],
@@ -255,4 +252,3 @@ def _report(
         attitude_sigma_rad=np.sqrt(np.einsum("kii->ki", done.covariance[kept])),
         noises=noises,
     )
-    return with_warnings(fit, telemetry, robust=True)

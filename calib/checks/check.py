@@ -2,9 +2,7 @@
 
 One cause, one name: stuck values and positions that contradict themselves are looked for first, then unit, position,
 attitude and clock against the field model, then outliers; what follows from a trap is not named beside it. Thresholds
-stand beside their reasons in the modules `check_*`.
-
-Columns that stand one place beside their names.
+stand beside their reasons in the modules of this folder.
 """
 
 from __future__ import annotations

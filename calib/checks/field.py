@@ -1,9 +1,7 @@
 """Checks against a field model: unit, frame and axes of the position, attitude, mounting, clock; outliers.
 
 One cause is named: what follows from it is not. All readings of the record that differ from it as it stands are weighed
-against each other (`check_evidence`), so that the first name is the best one.
-
-Attitude relative to axes of date under the name of GCRS, tested with the measured sun.
+against each other (`evidence`), so that the first name is the best one.
 """
 
 from __future__ import annotations

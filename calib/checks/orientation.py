@@ -3,7 +3,7 @@
 The reading is predicted with the attitude under every convention (scalar last or first, as it is or transposed,
 relative to GCRS, Earth-fixed axes, north-east-centre or -down, or the orbital frame) and every mounting (48 signed
 permutations of the axes, and those turned by 45 deg about an axis). The plausible ones are then weighed by
-`check_evidence`, with bias, scale and misalignment free in each; a bias of any flown size is free, for uncompensated
+`evidence`, with bias, scale and misalignment free in each; a bias of any flown size is free, for uncompensated
 satellites fly with 50,000 nT.
 """
 

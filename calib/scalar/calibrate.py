@@ -7,8 +7,6 @@
 | `scalar` | maximum likelihood of |B| (`maximum_likelihood`), from TWOSTEP; takes torquers and columns of telemetry |
 
 A rotation of the magnetometer leaves |B| as it is: S is found up to one and given symmetric.
-
-The answer of a calibration without attitude: from D, b, s of the scalar form to S, b, T of journal eq. 1.
 """
 
 from __future__ import annotations
@@ -64,10 +62,9 @@ class ScalarFit(Fit):
 def file_parameters(
     p: FloatArray, covariance: FloatArray, problem: ScalarProblem
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, dict[str, TelemetryBias]]:
-    """S (3, 3), b_nT (3,), T (3, 3), their covariance in the order of the calibration file, and other fields.
+    """From D, b, s of the scalar form: S (3, 3), b_nT (3,), T (3, 3) of journal eq. 1, their covariance, and other fields.
 
-    The covariance is (21 + 3J, 21 + 3J), that of the other fields behind it.
-
+    The covariance is (21 + 3J, 21 + 3J), in the order of the calibration file, that of the other fields behind it.
     O = I: I + S = I + D, b = -b_A, T = -(I+D) s.
     """
     data, scale_nT, columns = problem.data, problem.scale_nT, problem.columns

@@ -7,8 +7,6 @@
 
 Both need body z to be the axis of symmetry, and a record without thrust. The azimuth of the body is a convention of
 such a body: the sun sensor defines it.
-
-Outliers of a spinner in |B|: bit errors mislead a blind start, and no attitude is needed to see them.
 """
 
 from __future__ import annotations
@@ -71,7 +69,10 @@ _CUTS = 5
 
 
 def outlying_readings(rows: SpinRows) -> np.ndarray:
-    """(N,) readings whose |B| is an outlier after a robust fit of b and S to |H|."""
+    """(N,) readings whose |B| is an outlier after a robust fit of b and S to |H|.
+
+    Bit errors mislead a blind start, and no attitude is needed to see them.
+    """
     H = np.linalg.norm(rows.H_N_nT, axis=1)
     scale = float(np.sqrt((H**2).mean()))
     data = ScalarData(rows.B_nT / scale, H / scale, np.zeros((len(H), 0)), LOOSE_NOISE**2 * np.eye(3), True)

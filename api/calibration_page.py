@@ -13,7 +13,6 @@ from fluxtwin.calib.common.direction import CONFIDENCE
 from fluxtwin.calib.common.fit import Fit
 from fluxtwin.calib.common.onboard import for_record
 from fluxtwin.calib.common.records import CONVENTION, Calibration, parameter_unit
-from fluxtwin.calib.common.verdict import kept_rows
 from fluxtwin.scenarios.page import FigureBlock, Page, PageSection, Table
 from fluxtwin.sim.base.seals import FORMAT, sealed
 from fluxtwin.sim.base.types import FloatArray
@@ -69,14 +68,14 @@ def _seen(fit: Fit, record: Telemetry) -> list[PageSection]:
         corrected, reading = (np.linalg.norm(field, axis=1, keepdims=True) for field in (corrected, reading))
     predicted = corrected - _reading_minus_model(fit)
     before = reading - predicted
-    aside = ~kept_rows(fit.weights)
+    aside = ~fit.kept
     words = "Measured: the readings as received. Predicted: the model field, rotated by the attitude if there is one."
     of = "in body axes" if fit.residuals_nT.shape[1] == 3 else "in size"
     caption = (
         f"Residuals of {len(fit.time)} rows: calibrated reading minus model, {of}. The first panel has those of the "
         "readings as received."
     )
-    if not kept_rows(fit.weights).all():
+    if not fit.kept.all():
         caption += " Crosses: rows set aside as outliers. Arrows at the edge: values beyond it."
     return [
         PageSection("Measured and predicted", [], [], [field_block(rows, rows.mag_B_nT, predicted, words, aside)]),
@@ -99,7 +98,7 @@ def _followed(fit: Fit, record: Telemetry) -> list[PageSection]:
     """The residual against what it may follow."""
     from fluxtwin.evidence import driver_blocks
 
-    left = np.where(kept_rows(fit.weights)[:, None], _reading_minus_model(fit), np.nan)
+    left = np.where(fit.kept[:, None], _reading_minus_model(fit), np.nan)
     blocks = driver_blocks(record.select(fit.rows), {"residual": left})
     return [PageSection("What the residual follows", [], [], blocks)] if blocks else []
 
@@ -158,7 +157,7 @@ def residual_series(fit: Fit, before_nT: FloatArray | None = None) -> TimeSeries
     """The residuals along the record, with the rows set aside marked; before_nT: (N, K) those without the calibration."""
     from fluxtwin.plots.time_series import TimeSeries, residual_panels
 
-    aside = ~kept_rows(fit.weights)
+    aside = ~fit.kept
     names = "xyz" if fit.residuals_nT.shape[1] == 3 else ("|B|",)
     title = "Residuals of the calibration" + (f"; {int(aside.sum())} rows set aside" if aside.any() else "")
     return TimeSeries(title, fit.time, residual_panels(_reading_minus_model(fit), names, aside, before_nT=before_nT))
@@ -228,7 +227,7 @@ def _angles(fit: Fit) -> Table:
 
 def _residuals(fit: Fit) -> Table:
     names = "xyz" if fit.residuals_nT.shape[1] == 3 else ["|B|"]
-    kept = _reading_minus_model(fit)[kept_rows(fit.weights)]
+    kept = _reading_minus_model(fit)[fit.kept]
     rows = [
         [name, plain(float(series.mean())), plain(float((series**2).mean() ** 0.5)), plain(float(abs(series).max()))]
         for name, series in zip(names, kept.T, strict=True)

@@ -32,8 +32,7 @@ def export(
     instance: which of the software's magnetometers, from 1.
     force: write also what the software cannot hold or would refuse, for which BadInput is raised otherwise.
     """
-    from fluxtwin.calib.onboard.export import export_calibration
-    from fluxtwin.calib.onboard.targets import find_target
+    from fluxtwin.calib.onboard.export import export_calibration, find_target
     from fluxtwin.outputs import Kind, claim
 
     target = find_target(to)
@@ -72,7 +71,7 @@ def calibrate_undone(
 
     Raises BadInput where |B| says that it was not applied to these readings.
     """
-    from fluxtwin.calib.checks.calibrated import NOT_APPLIED, check_calibrated
+    from fluxtwin.calib.checks.unit import NOT_APPLIED, check_calibrated
     from fluxtwin.calib.common.digits import plain
     from fluxtwin.calib.common.onboard import composed, undone
     from fluxtwin.calib.methods import calibrate_by

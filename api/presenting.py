@@ -16,7 +16,6 @@ from fluxtwin.calib.checks.report import CheckReport
 from fluxtwin.calib.common.digits import plain
 from fluxtwin.calib.common.fit import Fit
 from fluxtwin.calib.common.records import Calibration
-from fluxtwin.calib.common.verdict import kept_rows
 from fluxtwin.calib.onboard.export import Export
 from fluxtwin.calib.trend import Trend
 from fluxtwin.campaigning import Campaign
@@ -173,7 +172,7 @@ def _sizes(found: AttitudeSolution) -> str:
 
 
 def _draw_fit(axes: Axes, fit: Fit) -> Axes:
-    aside = ~kept_rows(fit.weights)
+    aside = ~fit.kept
     title = f"Residuals of {fit.method}: {fit.statistics.component_rms_nT:.3g} nT rms"
     return on_axes.components(axes, fit.time, fit.residuals_nT, y="residual [nT]", title=title, aside=aside)
 

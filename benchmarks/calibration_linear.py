@@ -31,9 +31,9 @@ from typing import Any
 import numpy as np
 
 from fluxtwin.calib.common.design import Design
+from fluxtwin.calib.common.options import LinearOptions
 from fluxtwin.calib.common.regression import regress, residuals
 from fluxtwin.calib.linear.calibrate import fit_design
-from fluxtwin.calib.linear.method import LinearOptions
 from fluxtwin.sim.base import files
 
 WANTED_RATIO = 15.0

@@ -156,7 +156,7 @@ CALIBRATIONS: dict[str, tuple[str, dict[str, Any]]] = {
         "IGRF 1975": [{"field": "igrf1975"}],
         "two segments": [{}],
         "tumble": [{}, *({"method": method} for method in ("scalar", "twostep", "center"))],
-        "power, thermal, wheels": [{"telemetry_bias": ("array_current_A",), "method": "scalar"}],
+        "power, thermal, wheels": [{"driver": ("array_current_A",), "method": "scalar"}],
         "spin": [{"method": "scalar"}, {"method": "center"}],
         "slit sun sensor": [{"method": "batch"}, {"method": "iterative"}],
         "unknown field, full scale": [{}],

@@ -37,11 +37,11 @@ import numpy as np
 from fluxtwin.calib.attitude.recursive import calibrate_recursive
 from fluxtwin.calib.common.design import Design
 from fluxtwin.calib.common.fit import Fit
+from fluxtwin.calib.common.options import LinearOptions
 from fluxtwin.calib.common.records import Calibration
 from fluxtwin.calib.gyro.calibrate import calibrate_gyro
 from fluxtwin.calib.gyro.solve import BASIS_S
 from fluxtwin.calib.linear.calibrate import fit_design
-from fluxtwin.calib.linear.method import LinearOptions
 from fluxtwin.calib.scalar.calibrate import ScalarOptions, fit_rows
 from fluxtwin.calib.scalar.rows import ScalarRows
 from fluxtwin.calib.spin.calibrate import SpinOptions, fit_spin

@@ -1,6 +1,6 @@
 """The methods of calibration: the registry, and what a method takes.
 
-A new method is a file with its options and its estimator, and a line in `ESTIMATORS`.
+A new method is its options in `common/options.py`, the function that fits, and an entry of `ESTIMATORS`.
 """
 
 from __future__ import annotations
@@ -11,12 +11,16 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, cast
 
-from fluxtwin.calib.attitude import method as attitude
-from fluxtwin.calib.common.options import METHOD, Estimator, Option
-from fluxtwin.calib.gyro import method as gyro
-from fluxtwin.calib.linear import method as linear
-from fluxtwin.calib.scalar import method as scalar
-from fluxtwin.calib.spin import method as spin
+from fluxtwin.calib.common.options import (
+    OPTIONS,
+    Estimator,
+    GyroOptions,
+    LinearOptions,
+    Option,
+    RecursiveOptions,
+    ScalarOptions,
+    SpinOptions,
+)
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.progress import Progress, part_of, silent
 
@@ -29,12 +33,26 @@ if TYPE_CHECKING:
 
 F = TypeVar("F", bound=Callable[..., Any])
 
+_LINEAR = "fluxtwin.calib.linear.calibrate:calibrate_linear"
+_SCALAR = "fluxtwin.calib.scalar.calibrate:calibrate_scalar"
+_SPIN = "fluxtwin.calib.spin.calibrate:calibrate_spin"
+_RECURSIVE = "fluxtwin.calib.attitude.recursive:calibrate_recursive"
+_GYRO = "fluxtwin.calib.gyro.calibrate:calibrate_gyro"
+# |B| knows nothing of the attitude, so no error of an attitude is in what `scalar` says of a column.
 ESTIMATORS: dict[str, Estimator] = {
     one.name: one
-    for one in (*linear.ESTIMATORS, *scalar.ESTIMATORS, *spin.ESTIMATORS, *attitude.ESTIMATORS, *gyro.ESTIMATORS)
+    for one in (
+        Estimator("linear", ("positions", "attitude"), LinearOptions, _LINEAR),
+        Estimator("forward", ("positions", "attitude"), LinearOptions, _LINEAR),
+        Estimator("center", ("positions",), ScalarOptions, _SCALAR, drivers_by=_SCALAR),
+        Estimator("twostep", ("positions",), ScalarOptions, _SCALAR, drivers_by=_SCALAR),
+        Estimator("scalar", ("positions",), ScalarOptions, _SCALAR),
+        Estimator("batch", ("positions", "sun pulses"), SpinOptions, _SPIN, drivers_by=_SCALAR),
+        Estimator("iterative", ("positions", "sun pulses"), SpinOptions, _SPIN, drivers_by=_SCALAR),
+        Estimator("recursive", ("positions", "attitude, or nadir and sun"), RecursiveOptions, _RECURSIVE, _SCALAR),
+        Estimator("gyro", ("body rates",), GyroOptions, _GYRO),
+    )
 }
-
-
 ALL = "all"
 """In place of a method's name: all of them, compared."""
 
@@ -55,14 +73,12 @@ def offered() -> list[Offered]:
     for estimator in ESTIMATORS.values():
         for name, item in estimator.takes.items():
             of.setdefault(name, []).append(item)
-    out = [Offered("method", METHOD, "str | None", None)]
+    out = [Offered("method", OPTIONS["method"], "str | None", None)]
     for name, items in of.items():
         of_all = len(items) == len(ESTIMATORS) and len({str(item.default) for item in items}) == 1
         default = items[0].default if of_all else None
         kind = items[0].type.removesuffix(" | None")
-        out.append(
-            Offered(name, items[0].metadata["option"], kind if default is not None else f"{kind} | None", default)
-        )
+        out.append(Offered(name, OPTIONS[name], kind if default is not None else f"{kind} | None", default))
     return out
 
 
@@ -121,7 +137,7 @@ def calibrate_by(
 ) -> Fit:
     """Calibrate by the method of that name, None for `default_method`, with the verdict on the answer.
 
-    `all` compares the methods by their errors on rows that they have not seen, and takes one (`comparing`).
+    `all` compares the methods by their errors on rows that they have not seen, and takes one (`comparison`).
 
     given: options of the method, by the fields of its options; one that is None is as if not given.
     Raises BadInput for an unknown method, and for an option that the method does not take.
@@ -134,7 +150,7 @@ def calibrate_by(
     require(method, given)
     telemetry = joined(records)
     if method == ALL:
-        from fluxtwin.calib.comparing import compare
+        from fluxtwin.calib.common.comparison import compare
 
         wanted = {name: value for name, value in given.items() if value is not None}
         compared = compare(telemetry, model, ESTIMATORS, wanted, part_of(progress, 0.0, 0.8))

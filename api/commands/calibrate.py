@@ -153,10 +153,8 @@ def _shared(pair: Pair) -> str:
 
 def _predict(fit: Fit, record: Telemetry, known: Calibration, model: FieldModel) -> ResidualStatistics:
     from fluxtwin.calib.common.residuals import predict
-    from fluxtwin.calib.scalar.rows import predict_scalar
 
-    against_attitude = "attitude" in methods.ESTIMATORS[fit.method].needs
-    return (predict if against_attitude else predict_scalar)(record, known, model)
+    return predict(record, known, model, size_only="attitude" not in methods.ESTIMATORS[fit.method].needs)
 
 
 def _again(asked: Mapping[str, Any]) -> str:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeAlias, get_typ
 
 import typer
 
-from fluxtwin.calib.common import options as declared
+from fluxtwin.calib.common.options import OPTIONS
 from fluxtwin.console import Output, manners
 
 if TYPE_CHECKING:
@@ -29,18 +29,16 @@ def argument(metavar: str, text: str) -> Any:
     return typer.Argument(metavar=metavar, help=text)
 
 
-def declared_option(name: str, option: declared.Option) -> Any:
+def declared_option(name: str) -> Any:
     """The option of a calibration method, on the command line."""
-    flag = f"--{name.replace('_', '-')}"
+    flag, option = f"--{name.replace('_', '-')}", OPTIONS[name]
     return typer.Option(
         f"{flag}/--no-{flag[2:]}" if option.kind is bool else flag, metavar=option.metavar or None, help=option.help
     )
 
 
-AttitudeSigmaOption: TypeAlias = Annotated[
-    float | None, declared_option("attitude_sigma_deg", declared.ATTITUDE_SIGMA_DEG)
-]
-AttitudeTauOption: TypeAlias = Annotated[float | None, declared_option("attitude_tau_s", declared.ATTITUDE_TAU_S)]
+AttitudeSigmaOption: TypeAlias = Annotated[float | None, declared_option("attitude_sigma_deg")]
+AttitudeTauOption: TypeAlias = Annotated[float | None, declared_option("attitude_tau_s")]
 CalibrationOption: TypeAlias = Annotated[
     Path | None, option("FILE.toml", "Calibration file; not for telemetry that apply has corrected.")
 ]
@@ -121,8 +119,8 @@ READING = Reading()
 class Assumed(NamedTuple):
     """The errors and the field model given to a diagnosis; an option for each."""
 
-    noise_nT: Annotated[float | None, declared_option("noise_nT", declared.NOISE_NT)] = None
-    lsb_nT: Annotated[float | None, declared_option("lsb_nT", declared.LSB_NT)] = None
+    noise_nT: Annotated[float | None, declared_option("noise_nT")] = None
+    lsb_nT: Annotated[float | None, declared_option("lsb_nT")] = None
     attitude_sigma_deg: AttitudeSigmaOption = None
     attitude_tau_s: AttitudeTauOption = None
     field: ScenarioFieldOption = None
@@ -215,5 +213,5 @@ def _fields(group: Any) -> list[inspect.Parameter]:
 
 def _offered(one: Offered) -> inspect.Parameter:
     kind: Any = one.option.kind if one.default is not None else one.option.kind | None
-    note: Any = Annotated[kind, declared_option(one.name, one.option)]
+    note: Any = Annotated[kind, declared_option(one.name)]
     return inspect.Parameter(one.name, _KEYWORD, default=one.default, annotation=note)

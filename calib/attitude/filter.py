@@ -33,11 +33,8 @@ _LEARN_ROWS, _LEARN_PIECE = 4000, 700
 """Rows from which sizes are learned; of a longer record pieces, about a third and two thirds of each sensor's rows."""
 _ROWS_A_SIZE = 10  # fewer rows for each size that is wanted show none of them
 _COVERS = 0.1  # of the rows that another source has: one that has fewer does not replace it
-_VOTES, _AGREES, _AGREES_RAD = (
-    9,
-    4.0,
-    0.02,
-)  # first fixes compared; how far from the others one may be: times their median, rad
+# First fixes compared; how far from the others one may be: times their median, rad.
+_VOTES, _AGREES, _AGREES_RAD = 9, 4.0, 0.02
 _ALIASED_RAD = 2.5  # a turn so near half a revolution from fix to fix may as well be one the other way round
 _FIX_NT, _FIX_SIGMAS_RAD = 300.0, np.array([0.01, 0.002, 0.002])  # field, nadir, sun: weights of a fix
 _FIX_RAD = 0.1  # a fix less sure than that starts nothing
@@ -175,10 +172,9 @@ def assemble_rows(
     pairs, any_seen = int((nadir & sun_seen).sum()), int((nadir | sun_seen).sum())
     by_sensors = any_seen > 0 and ((pairs > 0 and pairs >= _COVERS * given) or given < _COVERS * any_seen)
     sensors = " and ".join(name for name, seen in (("nadir", nadir), ("sun", sun_seen)) if seen.any())
-    source, set_aside = (
-        (sensors, "reference attitude" if given else "") if by_sensors else ("reference attitude", sensors)
-    )
+    source, set_aside = sensors, "reference attitude" if given else ""
     if not by_sensors:
+        source, set_aside = "reference attitude" if given else "no other sensor", sensors
         nadir_B, sun_B = np.full_like(nadir_B, np.nan), np.full_like(sun_B, np.nan)
     attitude = telemetry.has_attitude & (not by_sensors)
     measured = telemetry.has_reading | attitude | np.isfinite(nadir_B).all(axis=1) | np.isfinite(sun_B).all(axis=1)
@@ -210,7 +206,7 @@ def assemble_rows(
         R_BN=A,
         rows=rows,
         left_out=left_out,
-        source=source if by_sensors or given else "no other sensor",
+        source=source,
         set_aside=set_aside,
     )
 
@@ -239,7 +235,7 @@ class FilterStart(NamedTuple):
     """(3, 3) (rad/s)^2, likewise."""
 
 
-def starts(rows: FilterRows, p: FloatArray | None, breaks: np.ndarray | None = None) -> list[FilterStart]:
+def starts(rows: FilterRows, p: FloatArray | None, breaks: np.ndarray | Sequence[int] = ()) -> list[FilterStart]:
     """A start for each stretch of rows that has two fixes: by reference attitude, or by directions seen together.
 
     p: (12,) S row by row and b by which the field counts as a direction; None: it does not. breaks: rows at which a new
@@ -247,7 +243,6 @@ def starts(rows: FilterRows, p: FloatArray | None, breaks: np.ndarray | None = N
     revolution from fix to fix.
     """
     R, covariance = fixes(rows, p)
-    breaks = np.empty(0, dtype=int) if breaks is None else breaks
     edges = np.union1d(np.flatnonzero(np.diff(segments(rows.time))) + 1, breaks).astype(int)
     found = []
     for first, end in zip([0, *edges], [*edges, len(rows.t_s)], strict=True):
@@ -360,13 +355,10 @@ def learned(
         np.isfinite(rows.sun_B[:, 0]),
     )
     some, used = list(begun), np.zeros(len(rows.t_s), dtype=bool)
-    for one in begun:
-        used[one.begin : one.end] = True
-    if used.sum() > _LEARN_ROWS:
+    if sum(one.end - one.begin for one in begun) > _LEARN_ROWS:
         some = _pieces(rows, begun, seen, p if by_field else None)
-        used[:] = False
-        for one in some:
-            used[one.begin : one.end] = True
+    for one in some:
+        used[one.begin : one.end] = True
     of = dict(zip(("field", "slow", "white", "drift", "sun"), (0, 0, 1, 1, 2), strict=True))
     free = [
         k
@@ -403,7 +395,8 @@ def learned(
 
     how: Any = {"eps": 1e-3, "maxiter": 80, "ftol": 3e-6}  # the stubs of scipy do not know eps
     bounds = np.log(np.array(_BOUNDS)[free])
-    found = minimize(cost_at, np.log(np.array(noises)[free]), method="L-BFGS-B", bounds=bounds.tolist(), options=how)
+    start = np.log(np.array(noises)[free])
+    found = minimize(cost_at, start, method="L-BFGS-B", bounds=bounds.tolist(), options=how)
     best = at(found.x)
     highest = found.x > bounds[:, 1] - 1e-3
     above = tuple(name for name, high in zip(names, highest, strict=True) if high and name not in _DURATIONS)

@@ -68,7 +68,11 @@ def calibrate_scanner(
     with a common error; gaps in time divide them where not given. Raises BadInput for absent columns, NoAnswer when
     fewer than ten rows have both directions or the sun stays so that a bias cannot be seen.
     """
-    rows = _usable(telemetry, heads)
+    rows = sun_and_nadir(telemetry)
+    if heads is not None:
+        if telemetry.sun_sensor_head is None:
+            raise BadInput("heads are chosen, and the record does not say which saw the sun", where="sun_sensor_head")
+        rows = rows[np.isin(telemetry.sun_sensor_head[rows], heads)]
     if rows.size < _FEWEST:
         raise NoAnswer(
             f"{rows.size} rows have both a sun and a nadir measurement of trusted heads; {_FEWEST} are needed",
@@ -106,15 +110,6 @@ def calibrate_scanner(
         rms_after_rad=float(np.sqrt(np.mean(residual**2))),
         rows=rows,
     )
-
-
-def _usable(telemetry: Telemetry, heads: Sequence[int] | None) -> np.ndarray:
-    rows = sun_and_nadir(telemetry)
-    if heads is None:
-        return rows
-    if telemetry.sun_sensor_head is None:
-        raise BadInput("heads are chosen, and the record does not say which saw the sun", where="sun_sensor_head")
-    return rows[np.isin(telemetry.sun_sensor_head[rows], heads)]
 
 
 def sun_and_nadir(telemetry: Telemetry) -> np.ndarray:

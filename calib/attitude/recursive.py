@@ -13,7 +13,7 @@ over the times that the innovations allow.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -23,7 +23,6 @@ from scipy.spatial.transform import Rotation
 from fluxtwin.calib.attitude.filter import (
     SENSORS,
     FilterRows,
-    FilterStart,
     Learned,
     Noises,
     Run,
@@ -33,18 +32,18 @@ from fluxtwin.calib.attitude.filter import (
     run,
     starts,
 )
-from fluxtwin.calib.attitude.method import RecursiveOptions
 from fluxtwin.calib.attitude.three_axis import consistency, declared_noises, limits
 from fluxtwin.calib.common.design import joined
 from fluxtwin.calib.common.digits import plain
+from fluxtwin.calib.common.error_model import white_errors
 from fluxtwin.calib.common.fit import Fit, with_warnings
 from fluxtwin.calib.common.noise import ReadingNoise, lsb_from_spacing_nT, per_axis
 from fluxtwin.calib.common.observability import field_variation, pair_words, require_samples, weak_direction_words
+from fluxtwin.calib.common.options import RecursiveOptions
 from fluxtwin.calib.common.records import Calibration, parameter_names
 from fluxtwin.calib.common.residuals import residual_statistics
 from fluxtwin.calib.common.words import say
 from fluxtwin.calib.linear.calibrate import calibrate_linear
-from fluxtwin.calib.scalar.words import errors
 from fluxtwin.sim.base.errors import NoAnswer
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.earth import frames
@@ -75,18 +74,16 @@ class RecursiveFit(Fit):
         return {**super().to_dict(), "noises": self.noises._asdict()}
 
 
-def calibrate_recursive(
-    records: Telemetry | Sequence[Telemetry], model: FieldModel, options: RecursiveOptions | None = None, **given: Any
-) -> RecursiveFit:
+def calibrate_recursive(records: Telemetry | Sequence[Telemetry], model: FieldModel, **given: Any) -> RecursiveFit:
     """S and b (or b alone) by a Kalman filter over readings, nadir and sun, or the reference attitude.
 
-    given: fields of `RecursiveOptions`, where no options are; the error of the attitude is that of the scanner, or of the
+    given: fields of `RecursiveOptions`; the error of the attitude is that of the scanner, or of the
     reference attitude where there is no scanner. What is None is found in the innovations.
 
     Raises BadInput for options that this method does not take, NoAnswer where the attitude cannot be started from nadir and
     sun or from a reference, and, with the names of the parameters, where the data do not determine them.
     """
-    options = RecursiveOptions(**given) if options is None else options
+    options = RecursiveOptions(**given)
     parameters, noise_nT = options.parameters, options.noise_nT
     telemetry = joined(records)
     rows = assemble_rows(telemetry, model)
@@ -103,12 +100,16 @@ def calibrate_recursive(
         first[:9, :9] = 0.0
     rows, p, far = _without_outliers(telemetry, rows, model, parameters)
     taken = learned(rows, begun, declared, p, first, by_field=False)
-    noises = taken.noises
-    done, passes = _settled(rows, begun, noises, p, first)
-    mean, C = _averaged(rows, begun, noises, done, first, declared)
+
+    def passed(noises: Noises, p: FloatArray) -> Run:
+        """Linearised about p, of which no more is known than at first."""
+        return run(rows, begun, noises, p, first)
+
+    done, passes = _settled(passed, taken.noises, p, first)
+    mean, C = _averaged(passed, taken.noises, done.p, declared)
     done = done._replace(p=mean, p_covariance=C)
     _require_known(done, first)
-    return _report(telemetry, rows, done, taken, parameters, passes, model, declared=noise_nT is not None, far=far)
+    return with_warnings(_report(rows, done, taken, options, model, passes, far), telemetry, robust=True)
 
 
 def _without_outliers(
@@ -134,12 +135,12 @@ def _without_outliers(
 
 
 def _settled(
-    rows: FilterRows, begun: Sequence[FilterStart], noises: Noises, p: FloatArray, first: FloatArray
+    passed: Callable[[Noises, FloatArray], Run], noises: Noises, p: FloatArray, first: FloatArray
 ) -> tuple[Run, int]:
     """The pass that moves the answer by less than a twentieth of a sigma, and how many it took."""
     moved = np.inf
     for count in range(1, _PASSES + 1):
-        done = run(rows, begun, noises, p, first)
+        done = passed(noises, p)
         sigma = np.sqrt(np.diag(done.p_covariance))
         moved = float(np.abs((done.p - p) / np.where(sigma > 0, sigma, 1.0)).max())
         p = done.p
@@ -150,12 +151,7 @@ def _settled(
 
 
 def _averaged(
-    rows: FilterRows,
-    begun: Sequence[FilterStart],
-    noises: Noises,
-    done: Run,
-    first: FloatArray,
-    declared: dict[str, float],
+    passed: Callable[[Noises, FloatArray], Run], noises: Noises, p: FloatArray, declared: dict[str, float]
 ) -> tuple[FloatArray, FloatArray]:
     """p and its covariance, over durations of the slow errors weighted by their likelihood."""
     drift = (0.0,) if "drift_s" in declared else _LONGER
@@ -163,24 +159,18 @@ def _averaged(
     answers = []
     for of_drift, of_slow in itertools.product(drift, slow):
         sized = {} if "drift_rad" in declared else {"drift_rad": noises.drift_rad * np.exp(0.5 * of_drift)}
-        one = run(
-            rows,
-            begun,
-            noises._replace(
-                drift_s=noises.drift_s * np.exp(of_drift),
-                slow_nT=noises.slow_nT * np.exp(0.5 * of_slow),
-                slow_s=noises.slow_s * np.exp(of_slow),
-                **sized,
-            ),
-            done.p,
-            first,
+        longer = noises._replace(
+            drift_s=noises.drift_s * np.exp(of_drift),
+            slow_nT=noises.slow_nT * np.exp(0.5 * of_slow),
+            slow_s=noises.slow_s * np.exp(of_slow),
+            **sized,
         )
-        answers.append((one.cost, one.p, one.p_covariance))
-    cost, p, C = (np.array([one[k] for one in answers]) for k in range(3))
+        answers.append(passed(longer, p))
+    cost, values, C = (np.array([getattr(one, name) for one in answers]) for name in ("cost", "p", "p_covariance"))
     weight = np.exp(-0.5 * (cost - cost.min()))
     weight /= weight.sum()
-    mean = weight @ p
-    off = p - mean
+    mean = weight @ values
+    off = values - mean
     return mean, np.asarray(np.einsum("k,kij->ij", weight, C + off[:, :, None] * off[:, None, :]))
 
 
@@ -192,29 +182,25 @@ def _require_known(done: Run, first: FloatArray) -> None:
 
 
 def _report(
-    telemetry: Telemetry,
     rows: FilterRows,
     done: Run,
     taken: Learned,
-    parameters: str,
-    passes: int,
+    options: RecursiveOptions,
     model: FieldModel,
-    *,
-    declared: bool,
+    passes: int,
     far: BoolArray,
 ) -> RecursiveFit:
-    noises = taken.noises
+    noises, declared = taken.noises, options.noise_nT is not None
     S, b_nT = done.p[:9].reshape(3, 3), done.p[9:]
     kept = np.flatnonzero(np.isfinite(rows.reading_nT).all(axis=1) & np.isfinite(done.A[:, 0, 0]))
     B, A = rows.reading_nT[kept], done.A[kept]
     r = np.einsum("kij,kj->ki", A, rows.field_N_nT[kept]) - (B + B @ S.T + b_nT)
     outlying = done.inflated[kept, 0] == 1.0
-    statistics = residual_statistics(rows.time[kept[~outlying]], r[~outlying])
-    sigma_nT = float(statistics.component_rms_nT)
+    sigma_nT = residual_statistics(rows.time[kept[~outlying]], r[~outlying]).component_rms_nT
     variation = field_variation(B[~outlying])
     words = [
         *pair_words(done.p_covariance, False, float(np.sqrt((B**2).mean())), sigma_nT),
-        *(weak_direction_words(variation, done.p_covariance) if parameters == "b,S" else []),
+        *(weak_direction_words(variation, done.p_covariance) if options.parameters == "b,S" else []),
     ]
     calibration = Calibration(
         S=S,
@@ -225,7 +211,7 @@ def _report(
         samples=len(kept),
         span=(rows.time[kept[0]], rows.time[kept[-1]]),
         field_model=model.name,
-        method=f"recursive filter for {parameters}, attitude estimated too",
+        method=f"recursive filter for {options.parameters}, attitude estimated too",
         unobservable=tuple(words),
     )
     noise = ReadingNoise(
@@ -248,7 +234,7 @@ def _report(
         say("attitude.of_reference", white_deg=white_deg, drift_deg=drift_deg, n=noises),
         say("attitude.fit_innovations", nis=innovations, correlation=lag_correlation, passes=passes),
     ]
-    fit = RecursiveFit(
+    return RecursiveFit(
         calibration=calibration,
         method="recursive",
         time=rows.time[kept],
@@ -260,11 +246,9 @@ def _report(
         rejected=int(outlying.sum() + far.sum()),
         variation=variation,
         noise=noise,
-        statistics=statistics,
         messages=tuple(messages),
-        error_model=errors(noise, declared),
+        error_model=white_errors(noise.variance_nT2, declared=declared),
         q_NB=frames.q_from_rotation(Rotation.from_matrix(A)),
         attitude_sigma_rad=np.sqrt(np.einsum("kii->ki", done.covariance[kept])),
         noises=noises,
     )
-    return with_warnings(fit, telemetry, robust=True)

@@ -44,9 +44,8 @@ _CONSISTENT = (0.8, 1.25)
 _REPEATS = 0.2  # correlation of neighbouring innovations of the field
 _MOST_OUTLIERS = 0.05  # share of innovations of a sensor
 _EXPLAINED = 1.5  # error of the field over that which calibration and noise explain
-_LASTING_S = (
-    1000.0  # an error of scanner or reference that lasts so long may as well be a mounting, or the sun sensor's
-)
+# An error of scanner or reference that lasts so long may as well be a mounting, or the sun sensor's.
+_LASTING_S = 1000.0
 
 
 @dataclass(frozen=True)
@@ -162,7 +161,37 @@ def estimate_attitude(
     taken = learned(rows, begun, declared, p, np.zeros((0, 0)))
     progress("following the attitude", 0.8)
     done = run(rows, begun, taken.noises, p, covariance)
-    return _solution(telemetry, rows, done, taken.noises, limits(rows, calibration, taken))
+    known = np.flatnonzero(np.isfinite(done.A[:, 0, 0]))
+    left_out = dict(rows.left_out)
+    if len(known) < len(rows.t_s):
+        left_out["before a first fix"] = len(rows.t_s) - len(known)
+    index, R = rows.rows[known], Rotation.from_matrix(done.A[known])
+    velocity = velocity_of(telemetry)[index]
+    angles, moving = np.full((len(known), 3), np.nan), np.isfinite(velocity).all(axis=1)
+    if moving.any():
+        assert telemetry.r_N_km is not None
+        R_ON = frames.rotation_ON(telemetry.r_N_km[index[moving]], velocity[moving])
+        angles[moving] = np.stack(frames.yaw_roll_pitch(R[np.flatnonzero(moving)] * R_ON.inv()), axis=1)
+    nis, lag_correlation, reasons = consistency(done)
+    return AttitudeSolution(
+        time=rows.time[known],
+        q_NB=frames.q_from_rotation(R),
+        covariance=done.covariance[known],
+        sigma_rad=np.sqrt(np.einsum("kii->ki", done.covariance[known])),
+        yaw_roll_pitch_rad=angles,
+        rate_B_rad_s=done.rate[known],
+        aided=np.isfinite(rows.sun_B[known, 0]) | np.isfinite(rows.R_BN[known, 0, 0]),
+        inflated=np.asarray((done.inflated[known] == 1.0).any(axis=1)),
+        rows=index,
+        left_out=left_out,
+        noises=taken.noises,
+        nis=nis,
+        lag_correlation=lag_correlation,
+        reasons=reasons,
+        limits=limits(rows, calibration, taken),
+        source=rows.source,
+        set_aside=rows.set_aside,
+    )
 
 
 def declared_noises(
@@ -233,43 +262,6 @@ def _explained_nT(rows: FilterRows, calibration: Calibration) -> float:
     blocks = [[3 * i, 3 * i + 1, 3 * i + 2, 9 + i] for i in range(3)]
     spread = sum(float((calibration.covariance[np.ix_(at, at)] * moments).sum()) for at in blocks) / 3.0
     return float(np.sqrt(white_nT**2 + calibration.sigma_nT**2 + spread))
-
-
-def _solution(
-    telemetry: Telemetry, rows: FilterRows, done: Run, noises: Noises, against: tuple[str, ...]
-) -> AttitudeSolution:
-    known = np.flatnonzero(np.isfinite(done.A[:, 0, 0]))
-    left_out = dict(rows.left_out)
-    if len(known) < len(rows.t_s):
-        left_out["before a first fix"] = len(rows.t_s) - len(known)
-    index, R = rows.rows[known], Rotation.from_matrix(done.A[known])
-    velocity = velocity_of(telemetry)[index]
-    angles, moving = np.full((len(known), 3), np.nan), np.isfinite(velocity).all(axis=1)
-    if moving.any():
-        assert telemetry.r_N_km is not None
-        R_ON = frames.rotation_ON(telemetry.r_N_km[index[moving]], velocity[moving])
-        angles[moving] = np.stack(frames.yaw_roll_pitch(R[np.flatnonzero(moving)] * R_ON.inv()), axis=1)
-    nis, lag_correlation, reasons = consistency(done)
-    covariance = done.covariance[known]
-    return AttitudeSolution(
-        time=rows.time[known],
-        q_NB=frames.q_from_rotation(R),
-        covariance=covariance,
-        sigma_rad=np.sqrt(np.einsum("kii->ki", covariance)),
-        yaw_roll_pitch_rad=angles,
-        rate_B_rad_s=done.rate[known],
-        aided=np.isfinite(rows.sun_B[known, 0]) | np.isfinite(rows.R_BN[known, 0, 0]),
-        inflated=np.asarray((done.inflated[known] == 1.0).any(axis=1)),
-        rows=index,
-        left_out=left_out,
-        noises=noises,
-        nis=nis,
-        lag_correlation=lag_correlation,
-        reasons=reasons,
-        limits=against,
-        source=rows.source,
-        set_aside=rows.set_aside,
-    )
 
 
 def consistency(done: Run) -> tuple[dict[str, float], float, tuple[str, ...]]:

@@ -77,7 +77,8 @@ class YawSolution(Shown):
         if not known.any():
             return None
         estimate = self.yaw_rad if estimate_rad is None else estimate_rad
-        return float(np.sqrt((_wrapped(estimate - self.yaw_reference_rad)[known] ** 2).mean()))
+        off = (estimate - self.yaw_reference_rad + np.pi) % (2.0 * np.pi) - np.pi
+        return float(np.sqrt((off[known] ** 2).mean()))
 
     @property
     def summary(self) -> dict[str, Any]:
@@ -234,7 +235,3 @@ def _horizontal_squared(field_O_nT: FloatArray) -> FloatArray:
 
 def _degrees(angle_rad: FloatArray) -> list[float | None]:
     return [float(value) if np.isfinite(value) else None for value in np.degrees(angle_rad)]
-
-
-def _wrapped(angle_rad: FloatArray) -> FloatArray:
-    return np.asarray((angle_rad + np.pi) % (2.0 * np.pi) - np.pi)

@@ -2,9 +2,7 @@
 
 One cause, one name: stuck values and positions that contradict themselves are looked for first, then unit, position,
 attitude and clock against the field model, then outliers; what follows from a trap is not named beside it. Thresholds
-stand beside their reasons in the modules `check_*`.
-
-Columns that stand one place beside their names.
+stand beside their reasons in the modules of this folder.
 """
 
 from __future__ import annotations
@@ -17,12 +15,12 @@ from typing import Any, Literal
 
 import numpy as np
 
-from fluxtwin.calib.checks.calibrated import check_calibrated
 from fluxtwin.calib.checks.field import check_field
 from fluxtwin.calib.checks.outliers import check_outliers
 from fluxtwin.calib.checks.report import CheckReport, Finding, note, report, trap
 from fluxtwin.calib.checks.sample import Origin, comparable
 from fluxtwin.calib.checks.stuck import check_stuck
+from fluxtwin.calib.checks.unit import check_calibrated
 from fluxtwin.calib.checks.values import check_motion, check_readings
 from fluxtwin.calib.common.records import Onboard
 from fluxtwin.sim.base.errors import BadInput

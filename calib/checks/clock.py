@@ -3,7 +3,7 @@
 All stamps of a record are moved together. What that does depends on where positions and attitude come from (`Origin`):
 relative to GCRS they stay and the Earth turns under them by 15 deg an hour; Earth-fixed positions stay on the
 Earth; positions from two-line elements run along the orbit, 7 km each second. A clock that is slow by a constant number of
-hours or seconds is then one prediction among others, and `check_evidence` compares them with S and b free in each.
+hours or seconds is then one prediction among others, and `evidence` compares them with S and b free in each.
 """
 
 from __future__ import annotations

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from fluxtwin.calib.common.direction import of_parameters
 from fluxtwin.sim.base.types import FloatArray
 
 S_SIGMA, BIAS_SIGMA_nT = 0.05, 30_000.0
@@ -46,10 +47,7 @@ class Evidence:
 
 def vector_evidence(seconds: FloatArray, mag_nT: FloatArray, predicted_nT: FloatArray) -> Evidence:
     """Evidence of predictions (K, n, 3) of the body field for readings (n, 3) at `seconds` (n,)."""
-    design = np.zeros((len(mag_nT), 3, 12))
-    for i in range(3):
-        design[:, i, 3 * i : 3 * i + 3] = mag_nT / _SCALE_nT
-        design[:, i, 9 + i] = 1.0
+    design = of_parameters(mag_nT / _SCALE_nT)
     return compare(seconds, design, np.moveaxis(predicted_nT - mag_nT, 0, 2), VECTOR_SIGMAS_nT, mag_nT, step_nT(mag_nT))
 
 
@@ -108,18 +106,32 @@ def compare(
     lever: (n, 3), the field across which a turn of the attitude acts, for d = 3. least_step_nT: of the readings; its
     rounding is a white error at the least, which no mean over rows takes away where the reading moves slowly.
     """
+    from scipy.linalg import cholesky, solve_triangular
+
     n, d, count = rhs.shape
     scales = _SCALES_nT[_SCALES_nT >= max(MODEL_nT, least_step_nT / np.sqrt(12.0))]
+    squared = scales[:, None] ** 2
     X = (design * sigmas_nT).reshape(n * d, -1)
     Y = rhs.reshape(n * d, count)
     best = np.full(count, -np.inf)
     misfit, coefficients = np.zeros(count), np.zeros((X.shape[1], count))
     for number, covariance in enumerate(_covariances(seconds, lever, n, d)):
-        log, scale, solved = _one_shape(covariance, X, Y, scales)
+        factor = cholesky(covariance, lower=True, check_finite=False)
+        whitened = solve_triangular(factor, np.hstack([X, Y]), lower=True, check_finite=False)
+        Xw, Yw = whitened[:, : X.shape[1]], whitened[:, X.shape[1] :]
+        # The normal equations in the axes where the prior is one and the design is diagonal.
+        weights, axes = np.linalg.eigh(Xw.T @ Xw)
+        weights, cross = np.maximum(weights, 0.0), axes.T @ (Xw.T @ Yw)
+        squares = np.sum(Yw**2, axis=0)
+        left = squares - np.einsum("ck,sc->sk", cross**2, 1.0 / (weights + squared))  # at each scale, S and b fitted
+        size = len(X) * np.log(squared[:, 0]) + np.sum(np.log1p(weights / squared), axis=1)
+        log = -0.5 * (size[:, None] + left / squared) - np.sum(np.log(np.diag(factor)))
         if number == 0:
-            misfit, fitted = _misfits(scale, solved, n * d)
-            coefficients = sigmas_nT[:, None] * fitted
-        best = np.maximum(best, log)
+            shrunk = cross / (weights[:, None] + scales[np.argmax(log, axis=0)] ** 2)
+            rest = squares - np.sum(shrunk * (2.0 * cross - weights[:, None] * shrunk), axis=0)
+            misfit = np.sqrt(np.maximum(rest, 0.0) / (n * d))
+            coefficients = sigmas_nT[:, None] * (axes @ shrunk)
+        best = np.maximum(best, log.max(axis=0))
     return Evidence(best, misfit, coefficients)
 
 
@@ -138,50 +150,3 @@ def _covariances(seconds: FloatArray, lever: FloatArray | None, n: int, d: int) 
         turn = (turns * ou[:, None, :, None]).reshape(n * d, n * d)
         shapes += [white + a**2 * slow + c**2 * turn for a in _SLOW for c in _TURNS if a or c]
     return shapes
-
-
-@dataclass(frozen=True)
-class _Solved:
-    """Normal equations in the axes where the prior is one and the design is diagonal."""
-
-    axes: FloatArray
-    """(c, c), in columns."""
-    weights: FloatArray
-    """(c,) eigenvalues."""
-    cross: FloatArray
-    """(c, K)."""
-    whitened: FloatArray
-    """(N, K)."""
-
-    def quadratic(self, scale: FloatArray) -> FloatArray:
-        """(..., K): what is left of the whitened squares at each scale, S and b fitted."""
-        taken = np.einsum("ck,...c->...k", self.cross**2, 1.0 / (self.weights + np.asarray(scale)[..., None] ** 2))
-        return np.asarray(np.sum(self.whitened**2, axis=0) - taken)
-
-
-def _one_shape(
-    covariance: FloatArray, X: FloatArray, Y: FloatArray, scales: FloatArray
-) -> tuple[FloatArray, FloatArray, _Solved]:
-    """Log evidence (K,) maximised over the scale of the errors, that scale (K,) [nT], and the solved equations."""
-    from scipy.linalg import cholesky, solve_triangular
-
-    factor = cholesky(covariance, lower=True, check_finite=False)
-    both = solve_triangular(factor, np.hstack([X, Y]), lower=True, check_finite=False)
-    Xw, Yw = both[:, : X.shape[1]], both[:, X.shape[1] :]
-    weights, axes = np.linalg.eigh(Xw.T @ Xw)
-    solved = _Solved(axes, np.maximum(weights, 0.0), axes.T @ (Xw.T @ Yw), Yw)
-    left = solved.quadratic(scales)
-    squared = scales[:, None] ** 2
-    size = len(X) * np.log(squared[:, 0]) + np.sum(np.log1p(solved.weights / squared), axis=1)
-    log = -0.5 * (size[:, None] + left / squared) - np.sum(np.log(np.diag(factor)))
-    place = np.argmax(log, axis=0)
-    return log[place, np.arange(len(place))], scales[place], solved
-
-
-def _misfits(scale: FloatArray, solved: _Solved, count: int) -> tuple[FloatArray, FloatArray]:
-    """(K,) rms left of white residuals, and the coefficients (c, K) that leave it, in units of their prior."""
-    shrunk = solved.cross / (solved.weights[:, None] + scale**2)
-    left = np.sum(solved.whitened**2, axis=0) - np.sum(
-        shrunk * (2.0 * solved.cross - solved.weights[:, None] * shrunk), axis=0
-    )
-    return np.asarray(np.sqrt(np.maximum(left, 0.0) / count)), np.asarray(solved.axes @ shrunk)

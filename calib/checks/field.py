@@ -1,9 +1,7 @@
 """Checks against a field model: unit, frame and axes of the position, attitude, mounting, clock; outliers.
 
 One cause is named: what follows from it is not. All readings of the record that differ from it as it stands are weighed
-against each other (`check_evidence`), so that the first name is the best one.
-
-Attitude relative to axes of date under the name of GCRS, tested with the measured sun.
+against each other (`evidence`), so that the first name is the best one.
 """
 
 from __future__ import annotations
@@ -157,9 +155,12 @@ def _by_vectors(sample: Sample, telemetry: Telemetry, model: FieldModel, origin:
         if rms(expected - expected.mean(axis=0)) < 0.15 * sample.typical_nT:
             findings.append(note("orientation_not_tested.steady"))
         return findings
-    late = readings_shift(sample, telemetry, model)
-    if late is not None:
-        return [_readings_late(*late)]
+    shift = readings_shift(sample, telemetry, model)
+    if shift is not None:
+        shift_s, as_is, mended = shift
+        late, side = ("late", "before") if shift_s > 0 else ("early", "after")
+        said = {"hours": abs(shift_s) / 3600.0, "late": late, "side": side, "offset": -shift_s}
+        return [trap("clock.readings", as_is=as_is, mended=mended, **said)]
     by_size = _by_size(dataclasses.replace(sample, q_NB=None), model, origin)
     if any(one.severity == "trap" for one in by_size):
         return by_size
@@ -282,9 +283,3 @@ def _stamps(sample: Sample, model: FieldModel, origin: Origin) -> list[Hypothesi
         Hypothesis("clock", names[shift], "", cost(shift, known), predicted, shift)
         for shift, predicted in fields.items()
     ]
-
-
-def _readings_late(shift_s: float, as_is_nT: float, mended: float) -> Finding:
-    late, side = ("late", "before") if shift_s > 0 else ("early", "after")
-    misses = {"as_is": as_is_nT, "mended": mended}
-    return trap("clock.readings", hours=abs(shift_s) / 3600.0, late=late, side=side, offset=-shift_s, **misses)

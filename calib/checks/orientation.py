@@ -3,7 +3,7 @@
 The reading is predicted with the attitude under every convention (scalar last or first, as it is or transposed,
 relative to GCRS, Earth-fixed axes, north-east-centre or -down, or the orbital frame) and every mounting (48 signed
 permutations of the axes, and those turned by 45 deg about an axis). The plausible ones are then weighed by
-`check_evidence`, with bias, scale and misalignment free in each; a bias of any flown size is free, for uncompensated
+`evidence`, with bias, scale and misalignment free in each; a bias of any flown size is free, for uncompensated
 satellites fly with 50,000 nT.
 """
 
@@ -17,6 +17,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from fluxtwin.calib.checks.sample import Origin, Sample
+from fluxtwin.calib.common.conventions import best_turn
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import frames
 from fluxtwin.sim.earth.references import rotation_XN
@@ -82,7 +83,7 @@ def orientations(sample: Sample, origin: Origin) -> list[Hypothesis]:
         gain = np.maximum(np.einsum("kij,ij->k", matrices, cross), 0.0)
         power = max(float(np.sum(p**2)), 1.0)
         misfits[i] = np.sqrt(np.maximum(np.sum(m**2) - gain**2 / power, 0.0))
-        turn = _best_turn(cross)
+        turn = best_turn(cross)
         turned.append((float(np.sum(m**2) - np.sum(turn * cross) ** 2 / power), i, turn))
     whole = np.array([[one.things + bool(two.words) for two in mountings] for one in conventions])
     order = np.argsort(misfits * (1.0 + 0.1 * whole), axis=None)[:_SHORT_LIST]
@@ -111,13 +112,6 @@ def _hypothesis(convention: _Convention, mounting: _Mounting, field_nT: FloatArr
         SINGLE_COST * (things > 0) + EXTRA_COST * max(things - 1, 0) + mounting.cost,
         field_nT @ mounting.matrix.T,
     )
-
-
-def _best_turn(cross: FloatArray) -> FloatArray:
-    """The rotation matrix A, (3, 3), that maximises the trace of A^T cross (Wahba's problem by Markley's SVD)."""
-    u, _, vt = np.linalg.svd(cross)
-    matrix: FloatArray = u @ np.diag([1.0, 1.0, np.linalg.det(u) * np.linalg.det(vt)]) @ vt
-    return matrix
 
 
 def _any_turn(

@@ -123,9 +123,8 @@ def _stuck(values: FloatArray, time: TimeArray) -> BoolArray:
     lasting = [k for k, run in enumerate(found) if lengths[k] >= STUCK_ROWS and length_s(time, run) >= STUCK_S]
     if not lasting:
         return out
-    gap = max(
-        lasting, key=lambda k: lengths[k] / lengths[k + 1]
-    )  # between runs that may be stuck and those of coarse steps
+    # between runs that may be stuck and those of coarse steps
+    gap = max(lasting, key=lambda k: lengths[k] / lengths[k + 1])
     if lengths[gap] < LONGER * lengths[gap + 1]:
         return out
     long = [k for k in lasting if k <= gap]

@@ -1,7 +1,7 @@
 """Is the reading in nT? Tested with |B|, which needs no attitude, with a bias of any flown size free.
 
 Scale and bias are distinguished where the reading turns or the field changes: a bias shifts the reading, a wrong unit
-stretches it.
+stretches it. And is it raw, or calibrated already? |B| tells that too.
 """
 
 from __future__ import annotations
@@ -13,9 +13,12 @@ import numpy as np
 from fluxtwin.calib.checks.evidence import step_nT
 from fluxtwin.calib.checks.orientation import FAR_BETTER
 from fluxtwin.calib.checks.report import Finding, note, trap
-from fluxtwin.calib.checks.sample import Sample
+from fluxtwin.calib.checks.sample import FEWEST, Sample, comparable
+from fluxtwin.calib.common.conventions import OffsetFirst
 from fluxtwin.calib.common.digits import plain
-from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.calib.common.records import Onboard
+from fluxtwin.sim.base.types import BoolArray, FloatArray
+from fluxtwin.sim.earth.field import FieldModel
 from fluxtwin.sim.telemetry.record import Telemetry
 
 HIGHEST_FIELD_nT = 70_000.0
@@ -39,6 +42,12 @@ SMALLEST_MISFIT_nT = 500.0
 """Coarse steps (440 nT) and storms alone leave this much."""
 _OFF_MIDDLE = 0.15
 """Of half the range, that a bias may be: 50,000 nT in a range of 330,000, that of the usual chips."""
+CALIBRATED_NT, RAW_NT = 300.0, 1000.0
+"""Misfit of |B| up to which readings look calibrated (a field model is off by 150 nT, 1 sigma, and noise comes on top), and
+from which they do not (magnetometers fly with biases of thousands). Between them nothing is said."""
+NOT_APPLIED = "the readings are raw, it was not applied"
+_TIMES_BETTER = 1.5
+"""One way of taking an on-board calibration must fit so many times better than the others."""
 _FIT_ROWS = 300
 _UNITS = (
     (1e-9, "tesla labelled as nT"),
@@ -115,6 +124,42 @@ def blind_magnitude(telemetry: Telemetry) -> list[Finding]:
     likely = f"; likely {guess}" if guess else ""
     what = "no orbit has" if typical > HIGHEST_FIELD_nT else "no orbit below 13,000 km altitude has"
     return [trap("magnetometer_unit.blind", typical=plain(typical, 4), what=what, likely=likely)]
+
+
+def check_calibrated(
+    telemetry: Telemetry, model: FieldModel, usable: BoolArray, onboard: Onboard | None
+) -> list[Finding]:
+    """The note `calibrated_or_raw`; none where positions are missing, the record says it itself, or the data do not show it.
+
+    usable: (N,) rows. onboard: what is said to have been applied on board: then it is also undone, and applied once more.
+    """
+    sample = comparable(telemetry, model, usable, with_attitude=False)
+    if sample is None or len(sample) < FEWEST or telemetry.corrected_by:
+        return []
+    size_nT = np.linalg.norm(sample.field_N_nT, axis=1)
+    as_is = _misfit_nT(sample.mag_nT, size_nT)
+    if onboard is not None:
+        held = OffsetFirst(onboard.M, onboard.o_nT)
+        undone, applied = (_misfit_nT(change(sample.mag_nT), size_nT) for change in (held.undo, held.apply))
+        said = "these data do not tell whether it was applied"
+        if _TIMES_BETTER * applied < min(as_is, undone):
+            said = f"{NOT_APPLIED}; calibrate without --onboard"
+        elif _TIMES_BETTER * as_is < min(applied, undone):
+            said = "the readings are corrected by it already; calibrate --onboard undoes that"
+        elif _TIMES_BETTER * undone < min(applied, as_is):
+            said = "it was applied and makes the readings worse, or it belongs to another sensor"
+        return [
+            note("calibrated_or_raw.onboard", as_is=as_is, undone=undone, applied=applied, name=onboard.name, said=said)
+        ]
+    if CALIBRATED_NT < as_is < RAW_NT:
+        return []
+    calibrated = as_is <= CALIBRATED_NT
+    return [note("calibrated_or_raw.calibrated" if calibrated else "calibrated_or_raw.raw", misfit=as_is)]
+
+
+def _misfit_nT(mag_nT: FloatArray, size_nT: FloatArray) -> float:
+    """Of |B|, as an rms that single outliers do not move."""
+    return float(1.4826 * np.median(np.abs(np.linalg.norm(mag_nT, axis=1) - size_nT)))
 
 
 def _nearest_unit(ratio: float, within: float) -> str | None:

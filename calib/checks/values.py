@@ -29,7 +29,12 @@ def check_readings(telemetry: Telemetry) -> list[Finding]:
     if not telemetry.has_reading.any():
         blank = [axis for axis, one in zip("xyz", telemetry.mag_B_nT.T, strict=True) if np.isnan(one).all()]
         return [trap("no_readings", axes=", ".join(blank) or "one or another")]
-    return [*_usable(telemetry), *_missing_rows(telemetry, "magnetometer", telemetry.has_reading)]
+    missing, usable = _missing_rows(telemetry, "magnetometer", telemetry.has_reading), int(telemetry.has_reading.sum())
+    if usable < FEWEST_SAMPLES:
+        return [trap("too_few_samples", count=usable), *missing]
+    if usable < FEW_SAMPLES:
+        return [note("few_samples", count=usable, wanted=FEW_SAMPLES), *missing]
+    return missing
 
 
 def check_motion(telemetry: Telemetry) -> list[Finding]:
@@ -37,15 +42,11 @@ def check_motion(telemetry: Telemetry) -> list[Finding]:
 
     What follows from wrong positions is not named beside them.
     """
-    findings: list[Finding] = []
-    columns = {}
+    findings = _steps(telemetry)
     if telemetry.r_N_km is not None:
-        columns["position"] = telemetry.has_position
+        findings += _missing_rows(telemetry, "position", telemetry.has_position)
     if telemetry.q_NB is not None:
-        columns["attitude"] = telemetry.has_attitude
-    for name, present in columns.items():
-        findings += _missing_rows(telemetry, name, present)
-    findings = [*_steps(telemetry), *findings]
+        findings += _missing_rows(telemetry, "attitude", telemetry.has_attitude)
     positions = _positions(telemetry)
     if not positions and telemetry.sunlit is not None and telemetry.r_N_km is not None:
         positions = check_sunlit(telemetry.time, np.array(telemetry.r_N_km), np.array(telemetry.sunlit))
@@ -74,15 +75,6 @@ def check_sunlit(time: TimeArray, r_N_km: FloatArray, sunlit: FloatArray) -> lis
     spans += " and more" if len(contradictions) > 5 else ""
     rows = [np.arange(first, last + 1) for (first, last), _ in contradictions]
     return [trap("sunlit_flag", np.concatenate(rows), spans=spans)]
-
-
-def _usable(telemetry: Telemetry) -> list[Finding]:
-    usable = int(telemetry.has_reading.sum())
-    if usable < FEWEST_SAMPLES:
-        return [trap("too_few_samples", count=usable)]
-    if usable < FEW_SAMPLES:
-        return [note("few_samples", count=usable, wanted=FEW_SAMPLES)]
-    return []
 
 
 def _steps(telemetry: Telemetry) -> list[Finding]:

@@ -96,6 +96,12 @@ def polar_split(M: FloatArray) -> tuple[FloatArray, FloatArray]:
     return left @ right, (right.T * size) @ right
 
 
+def best_turn(cross: FloatArray) -> FloatArray:
+    """The rotation matrix R, (3, 3), that maximises the trace of R' cross (Wahba's problem by Markley's SVD)."""
+    U, _, Vt = np.linalg.svd(cross)
+    return np.asarray(U @ np.diag([1.0, 1.0, np.linalg.det(U) * np.linalg.det(Vt)]) @ Vt)
+
+
 def forward_from_correction(correction: Correction) -> Forward:
     """Invert journal eq. 1: B = (I+S)^-1 (A H - b - T D). Raises BadInput when I + S is singular."""
     G = _inverse(np.eye(3) + _matrix(correction.S, "S"))

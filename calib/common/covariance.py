@@ -7,7 +7,8 @@ residual, and with it what the correction for noise in the reading adds. Under t
 is too little for it and the plain formula stands: Cov(rows i, j of M) = R_ij <x|x>^-1 / N, R the residual covariance,
 plus what the correction adds (Fuller 1987, Measurement Error Models, section 2.2, known error covariance).
 
-`blocks`: correlated in time; see `covariance_report`.
+`blocks`: correlated in time; see `covariance_report`. What a Gauss-Markov error adds to estimating equations are sums over
+pairs of rows; long records are summed into cells first, so that a day costs no more than an orbit.
 
 Slopes here are stacked axis by axis: (row i of M, c_i) for i = x, y, z, with m + 1 numbers each.
 """
@@ -15,6 +16,7 @@ Slopes here are stacked axis by axis: (row i of M, c_i) for i = x, y, z, with m 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import ndtr, stdtrit
@@ -29,6 +31,7 @@ BLOCKS = (192, 128, 96, 64, 48, 32, 24, 16, 12, 8)
 _MOST_BLOCKS, _MOST_ASKED = 200, 1000
 _FEWEST_BATCHES = 20
 _STRETCHES = 10
+CELLS = 400
 
 
 def plain_covariance(
@@ -224,3 +227,58 @@ def batch_widening(residual_nT: FloatArray, segment: np.ndarray) -> float:
             worst = max(worst, ratio)
         length *= 2
     return worst
+
+
+class PairedCells(NamedTuple):
+    """Consecutive rows taken together: K cells."""
+
+    seconds: FloatArray
+    """(K,) mean time."""
+    weight: FloatArray
+    """(K,) sum of a_k, total 1."""
+    columns: FloatArray
+    """(K, q) weighted means of the columns."""
+
+
+def cells(
+    time: TimeArray, segment: np.ndarray, parts: Sequence[FloatArray], a: FloatArray, most: int = CELLS
+) -> PairedCells:
+    """Average the columns of `parts` (each (N, k)) with weights a (N,) over about `most` cells, none across a gap."""
+    seconds = seconds_of(time)
+    first = np.concatenate([[0], np.flatnonzero(np.diff(segment)) + 1])
+    last = np.concatenate([first[1:], [len(seconds)]]) - 1
+    covered_s = float((seconds[last] - seconds[first]).sum())
+    starts = cell_starts(seconds, segment, covered_s / most if len(seconds) > most else 0.0)
+    weight = np.add.reduceat(a, starts)
+    kept = weight > 0
+    columns = [np.add.reduceat(part[:, f] * a, starts)[kept] for part in parts for f in range(part.shape[1])]
+    total = np.stack(columns, axis=1)
+    weight = weight[kept]
+    when = np.add.reduceat(seconds * a, starts)[kept] / weight
+    return PairedCells(when, weight, total / weight[:, None])
+
+
+def kernel_moments(seen: PairedCells, tau_s: FloatArray) -> FloatArray:
+    """(len(tau), q, q) sum over pairs of cells of w_k w_l z_k z_l' exp(-|t_k - t_l|/tau): one recursion in time."""
+    weighted = seen.columns * seen.weight[:, None]
+    half = np.einsum("kg,ktf->tgf", weighted, _before(seen.seconds, weighted, tau_s), optimize=True)
+    return np.asarray(half + half.transpose(0, 2, 1) + weighted.T @ weighted)
+
+
+def responses(seconds: FloatArray, weighted: FloatArray, tau_s: FloatArray, power: FloatArray) -> FloatArray:
+    """(K, q): at each cell the sum over all cells of w_l z_l times sum over tau of power exp(-|t_k - t_l|/tau).
+
+    weighted: (K, q) w z. tau_s, power: (n,).
+    """
+    before = _before(seconds, weighted, tau_s)
+    after = _before(-seconds[::-1], weighted[::-1], tau_s)[::-1]
+    return np.asarray(np.einsum("t,ktf->kf", power, before + after) + power.sum() * weighted)
+
+
+def _before(seconds: FloatArray, weighted: FloatArray, tau_s: FloatArray) -> FloatArray:
+    """(K, len(tau), q): the same over earlier cells alone."""
+    from fluxtwin.calib.common.error_kernels import correlated_before
+
+    before = np.empty((len(weighted), tau_s.size, weighted.shape[1]))
+    correlated_before(np.ascontiguousarray(seconds), np.ascontiguousarray(weighted), tau_s, before)
+    return before

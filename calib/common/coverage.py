@@ -22,7 +22,6 @@ from scipy.spatial.transform import Rotation
 
 from fluxtwin.calib.common.direction import ROWS, even_directions, of_parameters, spread_rows
 from fluxtwin.calib.common.records import Calibration, parameter_unit
-from fluxtwin.calib.common.verdict import kept_rows
 from fluxtwin.sim.base.types import FloatArray, IntArray
 from fluxtwin.sim.telemetry.record import Telemetry
 
@@ -107,7 +106,7 @@ _AGAIN = "the same attitudes again"
 
 def coverage_of(fit: Fit, telemetry: Telemetry) -> Coverage:
     """Of the rows with weight of a fit of a record (joined, as it was fitted)."""
-    rows = fit.rows[kept_rows(fit.weights)]
+    rows = fit.rows[fit.kept]
     used = telemetry.select(rows)
     field_nT = fit.calibration.apply(used.mag_B_nT, used.dipole_B_Am2, fit.calibration.columns_of(telemetry, rows))
     return coverage(fit.calibration, used.mag_B_nT, field_nT, size_only=fit.residuals_nT.shape[1] == 1)

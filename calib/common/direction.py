@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import brentq
 
+from fluxtwin.calib.common.conventions import of_S
 from fluxtwin.calib.common.records import Calibration
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth.frames import angle_between
@@ -103,11 +104,9 @@ def even_directions(count: int) -> FloatArray:
 def of_parameters(B: FloatArray, D: FloatArray | None = None, size: int = 12) -> FloatArray:
     """(n, 3, size) derivative of (I+S) B + b + T D by the parameters, in the order of the covariance."""
     J = np.zeros((len(B), 3, size))
-    for i in range(3):
-        J[:, i, 3 * i : 3 * i + 3] = B
-        J[:, i, 9 + i] = 1.0
-        if D is not None:
-            J[:, i, 12 + 3 * i : 15 + 3 * i] = np.nan_to_num(D)
+    J[:, :, :9], J[:, :, 9:12] = of_S(B), np.eye(3)
+    if D is not None:
+        J[:, :, 12:] = of_S(np.nan_to_num(D))
     return J
 
 

@@ -1,4 +1,4 @@
-"""The compiled recursions of `error_model` and `slow_errors`.
+"""The compiled recursions of `error_model` and `covariance`.
 
 The filter whitens all columns at once. State: error of the attitude (3) and slow error of the field (3), each in units
 of its own standard deviation, at the end of a cell. What is seen of a cell is the mean over its length, U theta + h +

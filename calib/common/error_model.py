@@ -85,6 +85,12 @@ class ErrorModel:
         return plain | {"white_nT": self.white_nT.tolist()}
 
 
+def white_errors(variance_nT2: FloatArray, *, declared: bool) -> ErrorModel:
+    """Where only noise of the reading is looked at; its variance (3,)."""
+    white_nT = np.sqrt(variance_nT2)
+    return ErrorModel(white_nT, DECLARED if declared else FOUND, float(np.sqrt((white_nT**2).mean())))
+
+
 class LikelihoodCells(NamedTuple):
     """What the likelihood is taken of: K cells."""
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, TypeVar
 
 import numpy as np
@@ -14,11 +15,11 @@ from fluxtwin.calib.common.error_model import ErrorModel
 from fluxtwin.calib.common.noise import ReadingNoise
 from fluxtwin.calib.common.observability import FieldVariation
 from fluxtwin.calib.common.records import Calibration, parameter_unit
-from fluxtwin.calib.common.residuals import ResidualStatistics
+from fluxtwin.calib.common.residuals import ResidualStatistics, residual_statistics
 from fluxtwin.calib.common.robust import find_outliers
 from fluxtwin.calib.common.verdict import Verdict
 from fluxtwin.sim.base.shown import Shown
-from fluxtwin.sim.base.types import FloatArray, TimeArray
+from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
 from fluxtwin.sim.telemetry.record import Telemetry
 
 F = TypeVar("F", bound="Fit")
@@ -47,8 +48,6 @@ class Fit(Shown):
     """Eigen-directions of <B|B>."""
     noise: ReadingNoise
     """What was taken for the noise of the reading."""
-    statistics: ResidualStatistics
-    """Of the residuals with weight."""
     messages: tuple[str, ...]
     """What a person should know, in sentences."""
     warnings: tuple[str, ...] = ()
@@ -63,6 +62,16 @@ class Fit(Shown):
     """Of all methods, where that was asked for."""
     verdict: Verdict | None = None
     """What the fit is worth; given by `methods.calibrate_by` and `fluxtwin.calibrate`."""
+
+    @property
+    def kept(self) -> BoolArray:
+        """(N,) rows that count; the others were set aside as outliers."""
+        return np.asarray(self.weights > 0.0, dtype=np.bool_)
+
+    @cached_property
+    def statistics(self) -> ResidualStatistics:
+        """Of the residuals with weight."""
+        return residual_statistics(self.time[self.kept], self.residuals_nT[self.kept])
 
     @property
     def condition_number(self) -> float:

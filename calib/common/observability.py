@@ -104,7 +104,7 @@ def require_excitation(
     square = (x * a[:, None]).T @ x
     field_rms_nT = float(np.sqrt(np.trace(square[:3, :3])))
     if not field_rms_nT > 0:
-        raise NoAnswer("the magnetometer reads zero throughout: nothing can be calibrated", evidence={})
+        raise NoAnswer("the magnetometer reads zero throughout: nothing can be calibrated")
     scale = np.concatenate([np.full(3, field_rms_nT), np.sqrt(np.diag(square)[3:])])
     gram = np.ones((scale.size + 1, scale.size + 1))
     gram[0, 1:] = gram[1:, 0] = a @ x / scale
@@ -146,10 +146,10 @@ def _refuse(v: FloatArray, fired: np.ndarray, moves_nT: float, relative: float, 
     names = [f"S{i}{j + 1}" for j in axes for i in (1, 2, 3)]
     names += ["b1", "b2", "b3"] if abs(v[0]) > 0.02 else []
     names += [f"T{i}{j + 1}" for j in coils for i in (1, 2, 3)]
-    where = " and ".join(AXES[j] for j in coils)
+    where, along = " and ".join(AXES[j] for j in coils), " and ".join(f"body {AXES[j]}" for j in axes)
     if coils and axes:
         text = (
-            f"the dipole of torquer {where} is in proportion to the field along {_axes_words(axes)}: "
+            f"the dipole of torquer {where} is in proportion to the field along {along}: "
             f"{listed(names)} are not separable in these data. Fire the torquers independently of the field, or "
             "use --parameters b,S (S then holds the effect of the torquers)"
         )
@@ -199,9 +199,10 @@ def pair_words(covariance: FloatArray, with_T: bool, field_rms_nT: float, sigma_
     sigma in S (times the rms field) or in b is larger than the residual's sigma.
     """
     names, sigma = parameter_names(with_T), np.sqrt(np.diag(covariance))
+    in_nT = sigma * np.where([name[0] == "S" for name in names], field_rms_nT, 1.0)
     found = []
     for correlation, i, j in correlated_pairs(covariance[:12, :12]):
-        if max(_in_nT(names[k], sigma[k], field_rms_nT) for k in (i, j)) > sigma_nT:
+        if max(in_nT[i], in_nT[j]) > sigma_nT:
             sizes = f"sigma {_sized(names[i], sigma[i])}, {_sized(names[j], sigma[j])}"
             found.append((correlation, f"{_pair(names[i], names[j], correlation)}, {sizes}"))
     return worst_of(found)
@@ -246,18 +247,10 @@ def weak_direction_words(variation: FieldVariation, covariance: FloatArray) -> l
     ]
 
 
-def _in_nT(name: str, sigma: float, field_rms_nT: float) -> float:
-    return float(sigma * field_rms_nT if name[0] == "S" else sigma)
-
-
 def _sized(name: str, sigma: float) -> str:
     if name[0] == "S":
         return f"{name} {sigma:.2g}"
     return f"{name} {sigma:.3g} nT ({sigma / NT_PER_MG:.2g} mG)"
-
-
-def _axes_words(axes: list[int]) -> str:
-    return " and ".join(f"body {AXES[j]}" for j in axes)
 
 
 def listed(names: Sequence[str]) -> str:

@@ -14,7 +14,7 @@ from fluxtwin.calib.common.records import Calibration
 from fluxtwin.sim.base.errors import NoAnswer
 from fluxtwin.sim.base.types import FloatArray, TimeArray
 from fluxtwin.sim.earth.constants import NT_PER_MG
-from fluxtwin.sim.earth.field import FieldModel
+from fluxtwin.sim.earth.field import FieldModel, field_N_nT
 from fluxtwin.sim.telemetry.record import Telemetry
 
 _LAGS_SHOWN = 10
@@ -82,9 +82,20 @@ def residuals_of(records: Telemetry | Sequence[Telemetry], calibration: Calibrat
     return reference_field_B_nT(telemetry, model) - found
 
 
+def size_residuals_of(telemetry: Telemetry, calibration: Calibration, model: FieldModel) -> FloatArray:
+    """(N, 1) |(I+S) B + b + T D| - |B0|, which needs no attitude; NaN where unknown."""
+    found = calibration.apply(telemetry.mag_B_nT, telemetry.dipole_B_Am2, calibration.columns_of(telemetry))
+    size = np.full(len(telemetry), np.nan)
+    placed = np.flatnonzero(telemetry.has_position)
+    if placed.size and telemetry.r_N_km is not None:
+        size[placed] = np.linalg.norm(field_N_nT(model, telemetry.time[placed], telemetry.r_N_km[placed]), axis=1)
+    return np.asarray((np.linalg.norm(found, axis=1) - size)[:, None])
+
+
 def predict(
-    records: Telemetry | Sequence[Telemetry], calibration: Calibration, model: FieldModel
+    records: Telemetry | Sequence[Telemetry], calibration: Calibration, model: FieldModel, *, size_only: bool = False
 ) -> ResidualStatistics:
-    """How well a calibration predicts telemetry that was not used to make it."""
+    """How well a calibration predicts telemetry that was not used to make it, or |B| of it alone."""
     telemetry = joined(records)
-    return residual_statistics(telemetry.time, residuals_of(telemetry, calibration, model))
+    residuals = size_residuals_of if size_only else residuals_of
+    return residual_statistics(telemetry.time, residuals(telemetry, calibration, model))

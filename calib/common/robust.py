@@ -80,5 +80,5 @@ def _huber(distance: FloatArray) -> FloatArray:
 def _tukey(distance: FloatArray) -> FloatArray:
     u = np.minimum(distance / TUKEY_AT, 1.0)
     if not (u < 1.0).any():
-        raise NoAnswer(f"each of the {len(u)} rows lies far from all others: --robust none, or more rows", evidence={})
+        raise NoAnswer(f"each of the {len(u)} rows lies far from all others: --robust none, or more rows")
     return np.asarray((1.0 - u**2) ** 2)

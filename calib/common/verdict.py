@@ -13,9 +13,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from scipy.stats import chi2
 
-from fluxtwin.calib.common.conventions import of_S
 from fluxtwin.calib.common.digits import measured
-from fluxtwin.calib.common.direction import CONFIDENCE, DirectionKnowledge, direction_knowledge
+from fluxtwin.calib.common.direction import CONFIDENCE, DirectionKnowledge, direction_knowledge, of_parameters
 from fluxtwin.calib.common.error_model import ErrorModel
 from fluxtwin.calib.common.observability import correlated_pairs, direction_words
 from fluxtwin.calib.common.orbit_error import stated_km
@@ -71,6 +70,16 @@ class Along(NamedTuple):
     def most_nT(self) -> float:
         """What is let pass: the errors are only estimated, but hide no more than a field model may be off by."""
         return min(_MORE_ALONG * self.allowed_nT, float(np.hypot(self.allowed_nT, FIELD_MODEL_NT)))
+
+    @property
+    def too_much(self) -> bool:
+        """Whether it is not let pass."""
+        return self.found_nT > self.most_nT
+
+    @property
+    def beyond_model(self) -> bool:
+        """Whether it is more than noise and a field model give."""
+        return bool(self.found_nT > np.hypot(self.allowed_nT, FIELD_MODEL_NT))
 
 
 @dataclass(frozen=True)
@@ -136,7 +145,7 @@ def assess(
     attitude_sigma_deg: error of the reference attitude as it was declared. against_attitude: whether the method took the
     telemetry's attitude for its reference.
     """
-    known, kept = fit.calibration, kept_rows(fit.weights)
+    known, kept = fit.calibration, fit.kept
     B = telemetry.mag_B_nT[fit.rows]
     D = None if telemetry.dipole_B_Am2 is None else telemetry.dipole_B_Am2[fit.rows]
     field_nT = known.apply(B, D, known.columns_of(telemetry, fit.rows))
@@ -155,7 +164,7 @@ def assess(
     suspect_km = _orbit_suspect_km(fit, telemetry, along, strength_nT)
     of_orbit = [say("verdict.elements", km=suspect_km)] if suspect_km else []
     limits = [] if impossible else _limits(fit, declared, along, direction, strength_nT, of_orbit)
-    coupling = _coupling(fit, D) if impossible or _too_much_along(along) else ""
+    coupling = _coupling(fit, D) if impossible or along.too_much else ""
     return Verdict(
         level="bad" if impossible else "usable" if limits else "good",
         reasons=(*([coupling] if coupling else []), *([*impossible, *of_orbit] if impossible else limits)),
@@ -171,11 +180,6 @@ def assess(
         passes=None if fit.error_model is None else fit.error_model.passes,
         next_step=_WITH_TORQUERS if coupling else _next_step(fit, impossible, along, direction, suspect_km > 0.0),
     )
-
-
-def kept_rows(weights: FloatArray) -> BoolArray:
-    """(N,) rows that count; the others were set aside as outliers."""
-    return np.asarray(weights > 0.0, dtype=np.bool_)
 
 
 def worst_pairs(fit: Fit) -> tuple[Pair, ...]:
@@ -196,7 +200,7 @@ def _along(fit: Fit, telemetry: Telemetry, field_nT: FloatArray, kept: BoolArray
     turned = u @ (np.eye(3) + fit.calibration.S)
     noise = float(np.sqrt(((turned**2) @ fit.noise.variance_nT2).mean()))
     # Noise is new in every row: what lasts in the residual is no noise, but for the errors of the calibration itself.
-    images = np.einsum("ni,nik->nk", u, np.concatenate([of_S(B), np.broadcast_to(np.eye(3), (len(B), 3, 3))], axis=2))
+    images = np.einsum("ni,nik->nk", u, of_parameters(B))
     own = float(np.einsum("nj,jk,nk->n", images, fit.calibration.covariance[:12, :12], images).mean())
     if fit.error_model is not None and fit.error_model.slow_nT > 0.0:
         own *= _not_of_slow_errors(fit.error_model, noise, telemetry.time[fit.rows][kept])
@@ -273,11 +277,9 @@ def _limits(
     known = fit.calibration
     found = [*of_orbit, *fit.warnings, *([declared.words] if declared.ratio > _TRUSTED else [])]
     only_b = not known.sigmas[:9].any()
-    if _too_much_along(along) and not of_orbit:  # which says why
+    if along.too_much and not of_orbit:  # which says why
         rest = float(np.sqrt(along.found_nT**2 - along.noise_nT**2))
-        beyond = (
-            say("verdict.beyond_model", model_nT=FIELD_MODEL_NT) if _beyond_model(along) else say("verdict.of_model")
-        )
+        beyond = say("verdict.beyond_model", model_nT=FIELD_MODEL_NT) if along.beyond_model else say("verdict.of_model")
         found.append(say("verdict.along", rest=rest, why=beyond, S=", S (which was not estimated)" if only_b else ""))
     if along.found_nT > _WEAK_S * strength_nT:
         found.append(say("verdict.misses", share=100 * along.found_nT / strength_nT))
@@ -292,11 +294,6 @@ def _limits(
     return found
 
 
-def _beyond_model(along: Along) -> bool:
-    """Whether the residual along the field is more than noise and a field model give."""
-    return bool(along.found_nT > np.hypot(along.allowed_nT, FIELD_MODEL_NT))
-
-
 def _residual_words(fit: Fit, along: Along, residual_nT: float, *, impossible: bool) -> str:
     one = fit.residuals_nT.shape[1] == 1
     if impossible:  # of a fit that is none the noise is not known
@@ -308,22 +305,18 @@ def _residual_words(fit: Fit, along: Along, residual_nT: float, *, impossible: b
     if model is not None and model.attitude_sigma_deg is not None:
         because = say("verdict.because_both", reading=reading, model=model)
     words = say("verdict.residual", residual=residual_nT, because=because, along=along)
-    if along.chance_nT < along.found_nT and not _too_much_along(along):
+    if along.chance_nT < along.found_nT and not along.too_much:
         words += say("verdict.along_allowed", most=along.most_nT)
     return words
 
 
 def _rows(fit: Fit) -> int:
     """Rows that there were before outliers were set aside: some methods keep those with weight 0, some drop them."""
-    return int(kept_rows(fit.weights).sum()) + fit.rejected
+    return int(fit.kept.sum()) + fit.rejected
 
 
 def _many_outliers(fit: Fit) -> bool:
     return fit.rejected > _MANY_OUTLIERS * _rows(fit)
-
-
-def _too_much_along(along: Along) -> bool:
-    return along.found_nT > along.most_nT
 
 
 def _coupling(fit: Fit, dipole_B_Am2: FloatArray | None) -> str:
@@ -356,9 +349,9 @@ def _next_step(
     if orbit_suspect and not impossible:
         return _DIAGNOSE
     only_b = not fit.calibration.sigmas[:9].any()
-    if impossible or _many_outliers(fit) or (_beyond_model(along) and not only_b):
+    if impossible or _many_outliers(fit) or (along.beyond_model and not only_b):
         return "fluxtwin check TELEMETRY"
-    if _too_much_along(along):
+    if along.too_much:
         return "fluxtwin calibrate TELEMETRY --parameters b,S" if only_b else _DIAGNOSE
     if direction.calibration_deg > direction.noise_deg:
         return say("verdict.more_field", weak=weak)

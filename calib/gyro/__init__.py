@@ -5,5 +5,4 @@ from fluxtwin.sim.base.doors import door
 __getattr__, __dir__ = door(
     __name__,
     calibrate="calibrate_gyro",
-    method="GyroOptions",
 )

@@ -14,14 +14,12 @@ from fluxtwin.calib.common.design import complete_rows, joined
 from fluxtwin.calib.common.digits import measured, plain
 from fluxtwin.calib.common.fit import Fit, with_warnings
 from fluxtwin.calib.common.noise import ReadingNoise, per_axis
+from fluxtwin.calib.common.options import GyroOptions
 from fluxtwin.calib.common.records import Calibration, TelemetryBias
-from fluxtwin.calib.common.residuals import residual_statistics
 from fluxtwin.calib.common.robust import rows_to_keep
-from fluxtwin.calib.common.verdict import kept_rows
 from fluxtwin.calib.common.words import say
-from fluxtwin.calib.gyro.method import GyroOptions
 from fluxtwin.calib.gyro.motion import LARGEST_TURN_RAD, cut
-from fluxtwin.calib.gyro.solve import Solved, drops, fields_without_errors, solve
+from fluxtwin.calib.gyro.solve import GyroRows, Solved, drops, fields_without_errors, solve
 from fluxtwin.sim.base.errors import BadInput, NoAnswer
 from fluxtwin.sim.base.random_streams import stream
 from fluxtwin.sim.base.types import FloatArray
@@ -46,20 +44,17 @@ _REPEATED = float(chi2.ppf(0.999, 3))
 class GyroFit(Fit):
     """What this method adds to the record of every method."""
 
+    seen: GyroRows
     solved: Solved
-    length_s: float
-    """Of a stretch."""
 
 
-def calibrate_gyro(
-    records: Telemetry | Sequence[Telemetry], model: FieldModel, options: GyroOptions | None = None, **given: Any
-) -> GyroFit:
+def calibrate_gyro(records: Telemetry | Sequence[Telemetry], model: FieldModel, **given: Any) -> GyroFit:
     """S (of trace zero) and b from readings and body rates; the field model, positions and attitude are not looked at.
 
     Raises BadInput where the telemetry has no rates, NoAnswer where too few rows follow each other closely enough, or the
     body turned so little that b is not determined, with the direction.
     """
-    options = GyroOptions(**given) if options is None else options
+    options = GyroOptions(**given)
     telemetry = joined(records)
     rates = telemetry.rate_B_rad_s
     if rates is None:
@@ -79,9 +74,8 @@ def calibrate_gyro(
 
     def late(fit: GyroFit, columns: drivers.Columns, name: str, tried: FloatArray) -> FloatArray:
         others = {one: values for one, values in columns.items() if one != name}
-        turned, known = rates[rows], _stacked(columns, len(used))
-        seen = used.time, used.mag_B_nT, turned, cut(used.time, turned, fit.length_s), fit.length_s, known
-        return drops(*seen, fit.solved, kept_rows(fit.weights), _stacked(others, len(used)), tried)
+        seen = fit.seen._replace(columns=_stacked(columns, len(used)))
+        return drops(seen, fit.solved, fit.kept, _stacked(others, len(used)), tried)
 
     others = used.mag_B_nT if options.parameters != "b" else np.zeros((len(used), 0))
     return drivers.fitted(asked, rows, others, by, late)
@@ -101,14 +95,11 @@ def _fit(
     left_out: Mapping[str, int],
 ) -> GyroFit:
     """The fit to these rows of the telemetry, with the fields of columns (n,)."""
-    assert used.rate_B_rad_s is not None
-    follows = _stacked(columns, len(used))
-    solved, weights, length_s = _best(used, used.rate_B_rad_s, follows, options)
-    variation = observability.field_variation(used.mag_B_nT)
-    _require_turns(solved, used.mag_B_nT - follows @ solved.fields_nT, options)
-    in_stretch, residual_nT = solved.rows, solved.residual_nT
+    seen, solved, weights = _best(used, _stacked(columns, len(used)), options)
+    _require_turns(seen, solved)
+    in_stretch, residual_nT = seen.in_stretches, solved.residual_nT
     w = weights[in_stretch]
-    kept = kept_rows(w)
+    kept = w > 0.0
     noise = _noise(options, solved.variance_nT2)
     beside = f", field of {' and '.join(columns)} estimated" if columns else ""
     fields_sigma_nT = np.sqrt(np.diag(solved.fields_covariance)).reshape(-1, 3)
@@ -135,22 +126,21 @@ def _fit(
         rows=rows[in_stretch],
         left_out={**left_out, **({"no unbroken stretch around it": outside} if outside else {})},
         rejected=int((~kept).sum()),
-        variation=variation,
+        variation=observability.field_variation(used.mag_B_nT),
         noise=noise,
-        statistics=residual_statistics(used.time[in_stretch][kept], residual_nT[kept]),
-        messages=_messages(solved, length_s, noise, options),
+        messages=_messages(seen, solved, noise, options),
         driver_covariance=solved.fields_covariance,
+        seen=seen,
         solved=solved,
-        length_s=length_s,
     )
     return with_warnings(fit, telemetry, robust=options.robust != "none")
 
 
-def _best(
-    used: Telemetry, rates: FloatArray, columns: FloatArray, options: GyroOptions
-) -> tuple[Solved, FloatArray, float]:
-    """The answer, the weights (N,) and the length of a stretch: the longest of which there are three, as more of a turn is
-    seen in it; but of no more rows than a covariance is cheap for."""
+def _best(used: Telemetry, columns: FloatArray, options: GyroOptions) -> tuple[GyroRows, Solved, FloatArray]:
+    """The rows in stretches, the answer and the weights (N,). A stretch is as long as may be while there are three, as more
+    of a turn is seen in it; but of no more rows than a covariance is cheap for."""
+    rates = used.rate_B_rad_s
+    assert rates is not None
     usual_s = float(np.median(np.diff(used.time).astype(np.float64))) * 1e-9 if len(used) > 1 else 1.0
     lengths = (
         [one for one in _LENGTHS_S if one <= _MOST_ROWS * usual_s] if options.stretch_s is None else [options.stretch_s]
@@ -158,70 +148,49 @@ def _best(
     for length in lengths:
         cuts = cut(used.time, rates, length)
         if len(cuts) >= _FEWEST:
-            solved, weights = _robust(used, rates, columns, cuts, length, options)
-            _require_no_false_turns(used, rates, columns, cuts, length, options, solved, weights)
-            return solved, weights, length
+            seen = GyroRows(used.time, used.mag_B_nT, rates, cuts, length, columns, options.parameters != "b")
+            solved, weights = _robust(seen, options.robust)
+            _require_no_false_turns(seen, solved, weights)
+            return seen, solved, weights
     fast = np.degrees(np.median(np.linalg.norm(rates, axis=1)))
     words = say("gyro.no_stretches", fewest=_FEWEST, fast=fast, most=np.degrees(LARGEST_TURN_RAD))
     raise NoAnswer(words, evidence={"rows": len(used)})
 
 
-def _robust(
-    used: Telemetry,
-    rates: FloatArray,
-    columns: FloatArray,
-    cuts: list[np.ndarray],
-    length_s: float,
-    options: GyroOptions,
-) -> tuple[Solved, FloatArray]:
+def _robust(seen: GyroRows, kind: str) -> tuple[Solved, FloatArray]:
     """The answer without outliers, and the weights (N,): none of an outlier."""
-    rows, whole = np.concatenate(cuts), np.ones(len(used))
-
-    def fit(start: Solved | None, *, corrected: bool) -> Solved:
-        with_S = options.parameters != "b"
-        more = {"with_S": with_S, "weights": whole, "start": start, "corrected": corrected}
-        return solve(used.time, used.mag_B_nT, rates, cuts, length_s, columns, **more)  # type: ignore[arg-type]
-
-    if options.robust == "none":
-        return fit(None, corrected=True), whole
-    found = fit(None, corrected=False)
+    rows, whole = seen.in_stretches, np.ones(len(seen.time))
+    if kind == "none":
+        return solve(seen, whole), whole
+    found = solve(seen, whole, corrected=False)
 
     def refit(weights: FloatArray) -> FloatArray:
         nonlocal found
         whole[rows] = weights
-        found = fit(found, corrected=False)
+        found = solve(seen, whole, start=found, corrected=False)
         return found.deleted
 
-    whole[rows] = rows_to_keep(found.deleted, refit, options.robust)
-    return fit(None, corrected=True), whole
+    whole[rows] = rows_to_keep(found.deleted, refit, kind)
+    return solve(seen, whole), whole
 
 
-def _require_no_false_turns(
-    used: Telemetry,
-    rates: FloatArray,
-    columns: FloatArray,
-    cuts: list[np.ndarray],
-    length_s: float,
-    options: GyroOptions,
-    solved: Solved,
-    weights: FloatArray,
-) -> None:
+def _require_no_false_turns(seen: GyroRows, solved: Solved, weights: FloatArray) -> None:
     """Raises NoAnswer where a magnetometer without errors, with the noises that were found, would not be found to have none.
 
     Noise of the gyro is false turns: where they are as large as the true ones a field passes for a bias, and no sigma knows
     of it.
     """
-    speed, noise = float(np.median(np.linalg.norm(rates, axis=1))), solved.gyro_noise_rad_s
+    rates, noise = seen.rate_B_rad_s, solved.gyro_noise_rad_s
+    speed = float(np.median(np.linalg.norm(rates, axis=1)))
     if speed < _SLOW * noise:
         words = say("gyro.too_slow", speed=np.degrees(speed), noise=np.degrees(noise), wanted=_SLOW)
         raise NoAnswer(words, evidence={"rate_rad_s": speed, "noise_rad_s": noise})
     rng = stream(0, "calib.gyro.repeat")
-    again = used.mag_B_nT - columns @ solved.fields_nT
-    field = fields_without_errors(used.time, again, rates, cuts, length_s, weights)
-    again[solved.rows] = field + np.sqrt(solved.variance_nT2) * rng.standard_normal(field.shape)
-    perturbed = rates + _PERTURBED * solved.gyro_noise_rad_s * rng.standard_normal(rates.shape)
-    with_S = options.parameters != "b"
-    found = solve(used.time, again, perturbed, cuts, length_s, columns, with_S=with_S, weights=weights)
+    again = seen.reading_nT - seen.columns @ solved.fields_nT
+    field = fields_without_errors(seen._replace(reading_nT=again), weights)
+    again[seen.in_stretches] = field + np.sqrt(solved.variance_nT2) * rng.standard_normal(field.shape)
+    perturbed = rates + _PERTURBED * noise * rng.standard_normal(rates.shape)
+    found = solve(seen._replace(reading_nT=again, rate_B_rad_s=perturbed), weights)
     if float(found.b_nT @ np.linalg.solve(found.covariance[9:, 9:], found.b_nT)) > _REPEATED:
         raise NoAnswer(
             say("gyro.false_turns", size=np.linalg.norm(found.b_nT)),
@@ -229,8 +198,9 @@ def _require_no_false_turns(
         )
 
 
-def _require_turns(solved: Solved, reading_nT: FloatArray, options: GyroOptions) -> None:
-    """Raises NoAnswer where b, or S, is not determined. reading_nT: (n, 3) without the fields of columns."""
+def _require_turns(seen: GyroRows, solved: Solved) -> None:
+    """Raises NoAnswer where b, or S, is not determined."""
+    reading_nT = seen.reading_nT - seen.columns @ solved.fields_nT
     strength = float(np.sqrt((reading_nT**2).sum(axis=1).mean()))
     left = float(np.sqrt(((reading_nT @ (np.eye(3) + solved.S).T + solved.b_nT) ** 2).sum(axis=1).mean()))
     if left < _COLLAPSED * strength:
@@ -239,7 +209,7 @@ def _require_turns(solved: Solved, reading_nT: FloatArray, options: GyroOptions)
     values, vectors = np.linalg.eigh(solved.covariance[9:, 9:])
     sigma = float(np.sqrt(values[-1]))
     S_sigma = float(np.sqrt(np.diag(solved.covariance)[:9].max()))
-    if options.parameters != "b" and not S_sigma < _WORST_S:
+    if seen.with_S and not S_sigma < _WORST_S:
         raise NoAnswer(say("gyro.no_S", sigma=S_sigma), evidence={"sigma": S_sigma})
     if not sigma < observability.WORST_SIGMA * strength:
         words = say("gyro.no_b", direction=observability.direction_words(vectors[:, -1]), sigma=sigma)
@@ -253,7 +223,7 @@ def _noise(options: GyroOptions, variance: float) -> ReadingNoise:
     return ReadingNoise(np.full(3, variance), f"{plain(float(np.sqrt(variance)))} nT per axis, found in the data")
 
 
-def _messages(solved: Solved, length_s: float, noise: ReadingNoise, options: GyroOptions) -> tuple[str, ...]:
+def _messages(seen: GyroRows, solved: Solved, noise: ReadingNoise, options: GyroOptions) -> tuple[str, ...]:
     per_h = 3600.0 * np.degrees(1.0)
     bias = ", ".join(
         f"{measured(float(x) * per_h, float(s) * per_h)}"
@@ -261,7 +231,7 @@ def _messages(solved: Solved, length_s: float, noise: ReadingNoise, options: Gyr
     )
     chosen = "as asked" if options.stretch_s is not None else "the longest that fits three times"
     return (
-        say("gyro.stretches", count=solved.stretches, length_s=length_s, chosen=chosen),
+        say("gyro.stretches", count=len(seen.cuts), length_s=seen.length_s, chosen=chosen),
         say("gyro.gyro_noise", deg_s=np.degrees(solved.gyro_noise_rad_s)),
         f"bias of the gyro about x, y, z: {bias} deg/h",
         f"noise of the reading: {noise.source}",

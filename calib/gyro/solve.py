@@ -57,6 +57,38 @@ def _basis_of_S() -> FloatArray:
 BASIS_S = _basis_of_S()
 
 
+class GyroRows(NamedTuple):
+    """What is solved for: N rows of readings and rates, cut into stretches, with J columns that a field follows."""
+
+    time: TimeArray
+    reading_nT: FloatArray
+    """(N, 3)."""
+    rate_B_rad_s: FloatArray
+    """(N, 3)."""
+    cuts: Sequence[np.ndarray]
+    """Rows of each stretch."""
+    length_s: float
+    """Of a stretch."""
+    columns: FloatArray
+    """(N, J)."""
+    with_S: bool
+
+    @property
+    def in_stretches(self) -> np.ndarray:
+        """(n,) rows that belong to a stretch."""
+        return np.concatenate(self.cuts)
+
+    @property
+    def scale_nT(self) -> float:
+        """The unit of readings here, their rms."""
+        return float(np.sqrt((self.reading_nT**2).sum(axis=1).mean()))
+
+    def followed(self, bias_rad_s: FloatArray, errors_rad_s: FloatArray) -> list[Stretch]:
+        """The stretches, by the rates without a bias (3,) and errors (N, 3)."""
+        degree = degree_for(self.length_s)
+        return [follow(self.time, self.rate_B_rad_s - bias_rad_s, errors_rad_s, one, degree) for one in self.cuts]
+
+
 class Solved(NamedTuple):
     """The answer for one cut into stretches."""
 
@@ -74,8 +106,6 @@ class Solved(NamedTuple):
     """(3 J, 3 J), column by column."""
     bias_sigma_rad_s: FloatArray
     """(3,)."""
-    rows: np.ndarray
-    """(n,) rows that belong to a stretch."""
     residual_nT: FloatArray
     """(n, 3) field minus calibrated reading, body axes."""
     deleted: FloatArray
@@ -86,7 +116,6 @@ class Solved(NamedTuple):
     """Of one rate, white from row to row."""
     errors_rad_s: FloatArray
     """(N, 3) of each rate, found; zero in rows of no stretch."""
-    stretches: int
 
 
 class Cleared(NamedTuple):
@@ -110,43 +139,31 @@ class Cleared(NamedTuple):
         return np.asarray(self.back @ (self.y - self.G @ theta))
 
 
-def solve(
-    time: TimeArray,
-    reading_nT: FloatArray,
-    rate_B_rad_s: FloatArray,
-    cuts: Sequence[np.ndarray],
-    length_s: float,
-    columns: FloatArray,
-    *,
-    with_S: bool,
-    weights: FloatArray,
-    start: Solved | None = None,
-    corrected: bool = True,
-) -> Solved:
+def solve(rows: GyroRows, weights: FloatArray, *, start: Solved | None = None, corrected: bool = True) -> Solved:
     """Gauss-Newton over the gyro's bias and the errors of its rates; all else is linear. Their size is found by restricted
     likelihood.
 
-    columns: (N, J) that a field follows. weights: (N,) of the rows, 1 at the most. start: a solution with other weights, of
-    which one step is made. corrected: for noise in the regressors; not before outliers have lost their weight. Raises
-    NoAnswer where a combination of the parameters is moved by noise alone.
+    weights: (N,) of the rows, 1 at the most. start: a solution with other weights, of which one step is made. corrected:
+    for noise in the regressors; not before outliers have lost their weight. Raises NoAnswer where a combination of the
+    parameters is moved by noise alone.
     """
-    scale = float(np.sqrt((reading_nT**2).sum(axis=1).mean()))
-    degree, m = degree_for(length_s), reading_nT / scale
-    bias, S, c, u = np.zeros(3), np.zeros((3, 3)), np.zeros(3), np.zeros((columns.shape[1], 3))
+    scale, with_S = rows.scale_nT, rows.with_S
+    m = rows.reading_nT / scale
+    bias, S, c, u = np.zeros(3), np.zeros((3, 3)), np.zeros(3), np.zeros((rows.columns.shape[1], 3))
     errors = np.zeros((len(m), 3))
-    rms = np.sqrt((columns**2).mean(axis=0))
-    d = columns / rms
+    rms = np.sqrt((rows.columns**2).mean(axis=0))
+    d = rows.columns / rms
     variance = 0.0 if start is None else start.variance_nT2 / scale**2
     ratio = 0.0 if start is None else start.gyro_noise_rad_s**2 * scale**2 / start.variance_nT2
     if start is not None:
         bias, S, c, errors = start.bias_rad_s, start.S, -start.b_nT / scale, start.errors_rad_s.copy()
         u = (start.fields_nT * rms[:, None] / scale) @ (np.eye(3) + S).T
-    rows = np.concatenate(cuts)
     free = 8 if with_S else 0
     size = free + u.size + 6
-    freedom = max(1.0, 3.0 * float(weights[rows].sum()) - 3.0 * (degree + 1) * len(cuts) - size)
+    of_fields = 3.0 * (degree_for(rows.length_s) + 1) * len(rows.cuts)
+    freedom = max(1.0, 3.0 * float(weights[rows.in_stretches].sum()) - of_fields - size)
     for turn in range(_ROUNDS if start is None else 1):
-        stretches = [follow(time, rate_B_rad_s - bias, errors, one, degree) for one in cuts]
+        stretches = rows.followed(bias, errors)
         true = m + m @ S.T - c - d @ u
         if start is None and turn == _ROUNDS // 2:
             ratio = _ratio(stretches, m, true, d, weights, freedom, with_S=with_S)
@@ -165,27 +182,26 @@ def solve(
     back[9:, -6:-3] = -scale * np.eye(3)
     inverse = np.linalg.inv(np.eye(3) + S)
     s = u @ inverse.T
-    of_fields = np.zeros((u.size, size))  # M s = u
-    of_fields[:, free:-6] = np.kron(np.eye(len(u)), inverse)
+    of_columns = np.zeros((u.size, size))  # M s = u
+    of_columns[:, free:-6] = np.kron(np.eye(len(u)), inverse)
     if with_S:
-        of_fields[:, :8] = -(inverse @ of_S(s) @ BASIS_S).reshape(-1, 8)
-    of_fields *= np.repeat(scale / rms, 3)[:, None]
+        of_columns[:, :8] = -(inverse @ of_S(s) @ BASIS_S).reshape(-1, 8)
+    of_columns *= np.repeat(scale / rms, 3)[:, None]
+    bare_nT = rows.reading_nT - d @ s * scale
     return Solved(
         S=S,
         b_nT=-c * scale,
         fields_nT=s * (scale / rms)[:, None],
         bias_rad_s=bias,
         covariance=back @ covariance @ back.T,
-        fields_covariance=of_fields @ covariance @ of_fields.T,
+        fields_covariance=of_columns @ covariance @ of_columns.T,
         bias_sigma_rad_s=np.sqrt(np.diag(covariance)[-3:]),
-        rows=rows,
-        residual_nT=np.vstack([_residual(one, reading_nT - d @ s * scale, S, c * scale, weights) for one in stretches]),
+        residual_nT=np.vstack([_residual(one, bare_nT, S, c * scale, weights) for one in stretches]),
         deleted=np.vstack([_deleted(one, part, theta, weights) for one, part in zip(stretches, parts, strict=True)])
         / np.sqrt(variance),
         variance_nT2=variance * scale**2,
         gyro_noise_rad_s=float(np.sqrt(ratio * variance)),
         errors_rad_s=errors,
-        stretches=len(stretches),
     )
 
 
@@ -272,51 +288,31 @@ def _of_gyro_noise(one: Stretch, cross: FloatArray) -> FloatArray:
     return np.ascontiguousarray((steps @ one.steps_s).swapaxes(2, 3)).reshape(3 * n, 3 * n)
 
 
-def fields_without_errors(
-    time: TimeArray,
-    reading_nT: FloatArray,
-    rate_B_rad_s: FloatArray,
-    cuts: Sequence[np.ndarray],
-    length_s: float,
-    weights: FloatArray,
-) -> FloatArray:
+def fields_without_errors(rows: GyroRows, weights: FloatArray) -> FloatArray:
     """(n, 3) field in body axes at the rows of the stretches, if S and b were zero."""
-    degree, none = degree_for(length_s), np.zeros((3, 3))
-    stretches = [follow(time, rate_B_rad_s, np.zeros_like(rate_B_rad_s), one, degree) for one in cuts]
-    found = [reading_nT[one.rows] + _residual(one, reading_nT, none, none[0], weights) for one in stretches]
-    return np.vstack(found)
+    none, m = np.zeros((3, 3)), rows.reading_nT
+    stretches = rows.followed(none[0], np.zeros_like(m))
+    return np.vstack([m[one.rows] + _residual(one, m, none, none[0], weights) for one in stretches])
 
 
-def drops(
-    time: TimeArray,
-    reading_nT: FloatArray,
-    rate_B_rad_s: FloatArray,
-    cuts: Sequence[np.ndarray],
-    length_s: float,
-    columns: FloatArray,
-    solved: Solved,
-    kept: np.ndarray,
-    fixed: FloatArray,
-    tried: FloatArray,
-) -> FloatArray:
+def drops(rows: GyroRows, solved: Solved, kept: np.ndarray, fixed: FloatArray, tried: FloatArray) -> FloatArray:
     """(c,) by how much each of `tried` (N, c) lowers chi-square beside all else and `fixed` (N, k); see `drivers.Drops`.
 
-    The arguments up to `columns` are those of `solve`, and `solved` is its answer; kept: (n,) its rows that are no outliers.
+    solved: the answer of `solve`; kept: (n,) its rows that are no outliers.
     """
-    scale, with_S = float(np.sqrt((reading_nT**2).sum(axis=1).mean())), bool(solved.S.any())
+    scale, with_S = rows.scale_nT, bool(solved.S.any())
     M, d = np.eye(3) + solved.S, np.hstack([fixed, tried])
-    true = ((reading_nT - columns @ solved.fields_nT) @ M.T + solved.b_nT) / scale
-    m = reading_nT / scale
-    m[solved.rows] += drawn_in(solved.residual_nT, kept) @ np.linalg.inv(M).T / scale
+    true = ((rows.reading_nT - rows.columns @ solved.fields_nT) @ M.T + solved.b_nT) / scale
+    m = rows.reading_nT / scale
+    m[rows.in_stretches] += drawn_in(solved.residual_nT, kept) @ np.linalg.inv(M).T / scale
     ratio = (solved.gyro_noise_rad_s * scale) ** 2 / solved.variance_nT2
     whole, at = np.ones(len(m)), (8 if with_S else 0) + 3 * fixed.shape[1]
     gram = np.zeros((at + 7 + 3 * tried.shape[1],) * 2)
-    for rows in cuts:
-        one = follow(time, rate_B_rad_s - solved.bias_rad_s, solved.errors_rad_s, rows, degree_for(length_s))
+    for one in rows.followed(solved.bias_rad_s, solved.errors_rad_s):
         clear = _cleared(one, m, true, d, whole, ratio, with_S=with_S)
         seen = np.column_stack([clear.G[:, :at], clear.G[:, -6:], clear.G[:, at:-6], clear.y])
         gram += seen.T @ seen
-    return drops_of(gram * scale**2 / solved.variance_nT2, at + 6, 3)
+    return drops_of(gram * scale**2 / solved.variance_nT2, at + 6)
 
 
 def _residual(one: Stretch, reading_nT: FloatArray, S: FloatArray, c: FloatArray, weights: FloatArray) -> FloatArray:
@@ -346,7 +342,6 @@ def _covariance(parts: Sequence[Cleared], theta: FloatArray, normal: FloatArray,
         raise NoAnswer(
             "S is not determined: the body turned too little, or about too few axes, and nothing but noise moves a "
             "combination of S, b and the gyro's bias. Use --parameters b, or a longer record",
-            evidence={},
         )
     down = np.linalg.inv(np.linalg.cholesky(normal))
     moved = np.empty((len(parts), len(theta)))

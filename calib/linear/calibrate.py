@@ -6,6 +6,16 @@
 attenuates S, E[S] = S - (I+S) Sigma_B <B|B>^-1, which the errors-in-variables correction takes out:
 <B|B> becomes <B|B> - Sigma_B. `forward` regresses the other way, B = G A B0 + o + C D, and inverts: right when
 the reading is noisier than the reference.
+
+Fields that follow columns are weighted by what the errors were found to be. An error of the attitude, of half a degree for
+minutes, moves the reading by hundreds of nT, across the field and not along it. Least squares, which is right for S and b
+whatever the errors are (`covariance_report`), hears a column through all of that; the weighted fit of
+
+    B = G (1 + [theta x]) H + o + C D + sum_j s_j d_j + h + white
+
+with theta, h and white noise of the sizes that `error_model` has found hears it where it is quiet (Aitken 1935). It serves
+the fields of columns alone: what switches is not in step with an error of the field model, which lies along the field.
+S, b and T are then least squares of the reading without these fields.
 """
 
 from __future__ import annotations
@@ -19,18 +29,16 @@ from scipy.linalg import cho_factor, cho_solve
 
 from fluxtwin.calib.common import drivers, observability
 from fluxtwin.calib.common.conventions import Correction, Forward, correction_from_forward
-from fluxtwin.calib.common.design import Design, assemble, joined
+from fluxtwin.calib.common.covariance import stretches
+from fluxtwin.calib.common.design import Design, assemble, joined, of_turns
 from fluxtwin.calib.common.digits import plain
 from fluxtwin.calib.common.fit import Fit, with_warnings
 from fluxtwin.calib.common.noise import ReadingNoise, reading_noise
-from fluxtwin.calib.common.records import Calibration, TelemetryBias
+from fluxtwin.calib.common.options import LinearOptions
+from fluxtwin.calib.common.records import Calibration, TelemetryBias, seconds_of
 from fluxtwin.calib.common.regression import Regression, regress, residuals
-from fluxtwin.calib.common.residuals import residual_statistics
 from fluxtwin.calib.common.robust import outlier_words, rows_to_keep
 from fluxtwin.calib.linear.covariance_report import report_covariance
-from fluxtwin.calib.linear.driver_fields import drops as weighted_drops
-from fluxtwin.calib.linear.driver_fields import weighted_fields
-from fluxtwin.calib.linear.method import LinearOptions
 from fluxtwin.calib.linear.problem import LinearProblem, Solution
 from fluxtwin.sim.base.errors import BadInput, NoAnswer
 from fluxtwin.sim.base.types import FloatArray
@@ -38,6 +46,8 @@ from fluxtwin.sim.earth.field import FieldModel
 from fluxtwin.sim.telemetry.record import Telemetry
 
 _SAMPLES = {"b": 3, "b,S": 12, "b,S,T": 21}
+_SEARCHED = 20_000
+"""Rows in which delays and lags are looked for."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,15 +67,13 @@ class LinearFit(Fit):
         }
 
 
-def calibrate_linear(
-    records: Telemetry | Sequence[Telemetry], model: FieldModel, options: LinearOptions | None = None, **given: Any
-) -> LinearFit:
+def calibrate_linear(records: Telemetry | Sequence[Telemetry], model: FieldModel, **given: Any) -> LinearFit:
     """Calibrate one or several records against `model` and their reference attitude.
 
-    given: fields of `LinearOptions`, where no options are. Raises BadInput for unknown options and absent columns,
+    given: fields of `LinearOptions`. Raises BadInput for unknown options and absent columns,
     OutOfRange for epochs outside the model, NoAnswer, naming the parameters, when the data do not determine them.
     """
-    options = LinearOptions(**given) if options is None else options
+    options = LinearOptions(**given)
     telemetry = joined(records)
     asked = drivers.asked_for(telemetry, options.driver)
     design = assemble(telemetry, model, with_dipole="T" in options.parameters, columns=asked.columns)
@@ -77,12 +85,12 @@ def calibrate_linear(
         if not columns or fit.error_model is None:
             return fit
         again: dict[str, Any] = {"model_name": model.name, "weights": weights, "passes": passes}
-        return _beside(used, options, *weighted_fields(fit, used), noise=fit.noise, **again)
+        return _beside(used, options, *_weighted_fields(fit, used), noise=fit.noise, **again)
 
     def drops(fit: LinearFit, columns: drivers.Columns, name: str, tried: FloatArray) -> FloatArray:
         if fit.error_model is None:
             return np.zeros(tried.shape[1])
-        return weighted_drops(fit, design, columns, name, tried)
+        return _drops(fit, design, columns, name, tried)
 
     others = [design.H_nT] if options.parameters != "b" else []
     others += [] if design.D_Am2 is None else [design.D_Am2]
@@ -157,6 +165,69 @@ def _beside(
         method=_method_words(options, names),
     )
     return replace(fit, calibration=calibration, driver_covariance=covariance)
+
+
+def _weighted_fields(fit: LinearFit, design: Design) -> tuple[FloatArray, FloatArray]:
+    """(J, 3) fields of the design's columns [nT a unit] and their covariance (3J, 3J), by the errors that the fit has found.
+
+    The covariance is scaled up, never down, by the mean square of what is left over what was expected.
+    """
+    rows = np.flatnonzero(fit.kept)
+    columns = np.stack(list(design.columns.values()), axis=1)
+    unit = np.sqrt((columns**2).mean(axis=0))
+    others = _others(fit, design)
+    gram = _products(fit, design, rows, [*others, *(columns / unit).T])
+    fixed = 3 * len(others)
+    scale = np.sqrt(np.diag(gram)[:-1])
+    inverse = np.linalg.inv(gram[:-1, :-1] / np.outer(scale, scale)) / np.outer(scale, scale)
+    found = inverse @ gram[:-1, -1]
+    misfit = (gram[-1, -1] - found @ gram[:-1, -1]) / max(3 * len(rows) - len(found), 1)
+    per = np.repeat(1.0 / unit, 3)
+    covariance = inverse[fixed:, fixed:] * np.outer(per, per) * max(misfit, 1.0)
+    return (found[fixed:] * per).reshape(-1, 3), covariance
+
+
+def _drops(fit: LinearFit, design: Design, columns: drivers.Columns, name: str, tried: FloatArray) -> FloatArray:
+    """(c,) by how much each of `tried` (n, c) lowers chi-square in the place of the column `name`; see `drivers.Drops`."""
+    rows = stretches(len(design), _SEARCHED)
+    back = np.linalg.inv(np.eye(3) + fit.calibration.S)
+    B = design.B_nT + drivers.drawn_in(fit.residuals_nT, fit.kept) @ back.T
+    design = replace(design, B_nT=B)
+    others = [*_others(fit, design), *(values for one, values in columns.items() if one != name)]
+    return drivers.drops_of(_products(fit, design, rows, [*others, *tried.T]), 3 * len(others))
+
+
+def _others(fit: LinearFit, design: Design) -> list[FloatArray]:
+    """What is fitted beside the columns, each (N,)."""
+    held = [np.ones(len(design))]
+    if fit.calibration.S.any():
+        held += list(design.H_nT.T)
+    if design.D_Am2 is not None:
+        held += [one for one in design.D_Am2.T if one.any()]
+    return held
+
+
+def _products(fit: LinearFit, design: Design, rows: np.ndarray, parts: list[FloatArray]) -> FloatArray:
+    """(q, q) whitened products in some rows: of three columns, one an axis, for each part (N,), and of what is fitted."""
+    from fluxtwin.calib.common.error_kernels import whitened_gram
+
+    errors = fit.error_model
+    assert errors is not None
+    H, seconds = design.H_nT[rows], seconds_of(design.time[rows])
+    columns = np.zeros((len(rows), 3, 3 * len(parts) + 1))
+    for axis in range(3):
+        columns[:, axis, axis:-1:3] = np.stack([part[rows] for part in parts], axis=1)
+    columns[:, :, -1] = design.B_nT[rows] if fit.calibration.S.any() else design.B_nT[rows] - H
+    U = np.ascontiguousarray(np.linalg.inv(np.eye(3) + fit.calibration.S) @ of_turns(H))
+    gap = np.diff(seconds, prepend=seconds[0])
+    theta, tau = np.radians(errors.attitude_sigma_deg or 0.0), errors.attitude_tau_s
+    sizes = (theta, tau, 0.0) if tau else (0.0, 1.0, theta)
+    noise = np.broadcast_to(np.diag(errors.white_nT**2), (len(rows), 3, 3))
+    gram = np.empty((columns.shape[2],) * 2)
+    turned = np.einsum("kij,klj->kil", U, U)
+    slow = (errors.slow_nT, max(errors.slow_tau_s, 1.0))
+    whitened_gram(columns, U, np.ascontiguousarray(noise), turned, gap, np.zeros(len(rows)), (*sizes, *slow), gram)
+    return gram
 
 
 def _solve(problem: LinearProblem) -> Solution:
@@ -251,7 +322,7 @@ def _report(problem: LinearProblem, solution: Solution, model_name: str, passes:
     report = report_covariance(problem, solution, passes)
     covariance = report.covariance
     free = problem.effective / max(problem.effective - solution.M.shape[1] - 1, 1e-9)
-    kept, rejected = problem.kept, int((~problem.kept).sum())
+    rejected = int((~problem.kept).sum())
     square = float(np.trace(problem.mean_square(solution.residual_nT))) / 3.0
     sigma_nT = float(np.sqrt(square * free))
     variation = observability.field_variation(design.B_nT, problem.weights)
@@ -288,7 +359,6 @@ def _report(problem: LinearProblem, solution: Solution, model_name: str, passes:
         variation=variation,
         noise=problem.noise,
         eiv_shift=solution.eiv_shift,
-        statistics=residual_statistics(design.time[kept], solution.residual_nT[kept]),
         messages=(*_messages(problem, solution, variation), *report.messages),
         error_model=report.errors,
         driver_covariance=report.driver_covariance,

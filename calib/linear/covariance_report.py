@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -22,7 +21,9 @@ from fluxtwin.calib.common.covariance import (
     FEWEST_BLOCKS,
     batch_widening,
     bread_of,
+    cells,
     groupings,
+    kernel_moments,
     observed_s,
     plain_covariance,
     sandwich_covariance,
@@ -32,7 +33,6 @@ from fluxtwin.calib.common.covariance import (
 from fluxtwin.calib.common.digits import plain
 from fluxtwin.calib.common.error_model import DECLARED, FOUND, ErrorModel, Posterior, find_errors
 from fluxtwin.calib.common.shrinkage import grown, half_of, in_units_of
-from fluxtwin.calib.common.slow_errors import cells, kernel_moments
 from fluxtwin.calib.linear.estimating_equations import Spread, evidence, of_blocks, spread_of, sums, white_of
 from fluxtwin.calib.linear.problem import LinearProblem, Solution
 from fluxtwin.sim.base.types import FloatArray
@@ -62,10 +62,10 @@ def report_covariance(problem: LinearProblem, solution: Solution, passes: np.nda
     segment = segments(problem.design.time)
     errors = None
     if problem.options.covariance == "blocks":
-        found = _correlated(problem, solution, passes)
-        few = _too_few_passes(problem, segment, found.memory_s, passes)
-        stacked, errors = found.stacked, None if found.errors is None else replace(found.errors, passes=few)
-        messages.append(f"covariance: {found.words}")
+        stacked, words, memory_s, errors = _correlated(problem, solution, passes)
+        few = _too_few_passes(problem, segment, memory_s, passes)
+        errors = None if errors is None else replace(errors, passes=few)
+        messages.append(f"covariance: {words}")
     else:
         stacked = _white(problem, solution)
         factor = float(np.sqrt(batch_widening(solution.residual_nT, segment)))
@@ -85,21 +85,16 @@ def report_covariance(problem: LinearProblem, solution: Solution, passes: np.nda
     return CovarianceReport(whole[:size, :size], whole[21:, 21:], tuple(messages), errors)
 
 
-class _Found(NamedTuple):
-    stacked: FloatArray
-    words: str
-    memory_s: float
-    errors: ErrorModel | None
-
-
-def _correlated(problem: LinearProblem, solution: Solution, passes: np.ndarray | None) -> _Found:
-    """Stacked covariance by the model of the errors, as far as blocks confirm it."""
+def _correlated(
+    problem: LinearProblem, solution: Solution, passes: np.ndarray | None
+) -> tuple[FloatArray, str, float, ErrorModel | None]:
+    """Stacked covariance by the model of the errors, as far as blocks confirm it, and in words; how long errors last [s]."""
     options = problem.options
     posterior = find_errors(
         evidence(problem, solution, problem.weights > 0), options.attitude_sigma_deg, options.attitude_tau_s
     )
     if posterior is None:
-        return _Found(_white(problem, solution), "too few rows to see correlation: white", 0.0, None)
+        return _white(problem, solution), "too few rows to see correlation: white", 0.0, None
     label = segments(problem.design.time)
     if passes is not None or options.block_s is not None:
         label = next(groupings(problem.design.time, label, passes, options.block_s))[0]
@@ -107,32 +102,26 @@ def _correlated(problem: LinearProblem, solution: Solution, passes: np.ndarray |
     shared = np.pad(solution.M @ problem.noise_xx, ((0, 0), (0, 1)))
     spread = spread_of(added, posterior, white_of(problem, solution), shared)
     memory_s = posterior.memory_s(_field_nT(problem))
-    checked = _checked(problem, spread, label, memory_s, passes)
+    total, misfit, words = _checked(problem, spread, label, memory_s, passes)
     whole = np.kron(np.eye(3), bread_of(solution.fit, problem.noise_xx))
-    stacked = uncentred(whole @ checked.total @ whole.T, solution.fit.mean_x)
+    stacked = uncentred(whole @ total @ whole.T, solution.fit.mean_x)
     covered_s = observed_s(problem.design.time, segments(problem.design.time))
     if problem.fits_S:
         stacked = stacked + _from_turning(solution, posterior.constant_rad2(covered_s))
-    errors = _error_model(problem, solution, posterior, checked.misfit)
-    return _Found(stacked, f"{_error_words(errors)}; {checked.words}", memory_s, errors)
-
-
-class _Checked(NamedTuple):
-    total: FloatArray
-    misfit: float
-    words: str
+    errors = _error_model(problem, solution, posterior, misfit)
+    return stacked, f"{_error_words(errors)}; {words}", memory_s, errors
 
 
 def _checked(
     problem: LinearProblem, spread: Spread, label: np.ndarray, memory_s: float, passes: np.ndarray | None
-) -> _Checked:
-    """The covariance of the scores as blocks confirm it: the blocks are grown until their scatter grows no more."""
+) -> tuple[FloatArray, float, str]:
+    """The covariance of the scores as blocks confirm it, `ErrorModel.misfit`, and how it was found: the blocks are grown
+    until their scatter grows no more."""
     first = spread.sums.first
     asked = problem.options.block_s
     up = half_of(spread.total)
-    fewest = max(
-        FEWEST_BLOCKS, len(problem.noise_xx) + 1
-    )  # one a parameter of an axis: fewer are hardly free of the fit
+    # one a parameter of an axis: fewer are hardly free of the fit
+    fewest = max(FEWEST_BLOCKS, len(problem.noise_xx) + 1)
 
     def scatter() -> Iterator[tuple[FloatArray, str]]:
         covered_s = observed_s(problem.design.time, segments(problem.design.time))
@@ -144,15 +133,14 @@ def _checked(
 
     found = grown(scatter())
     if found is None:
-        return _Checked(
-            spread.total, 1.0, f"too few blocks of the record (fewer than {fewest}) to compare it with their scatter"
-        )
+        words = f"too few blocks of the record (fewer than {fewest}) to compare it with their scatter"
+        return spread.total, 1.0, words
     W, misfit, words = found
     if 0.8 < misfit < 1.25:
         words += ", whose scatter agrees with it"
     else:
         words = f"variances multiplied by {misfit:.2g} on average, to agree with the scatter of {words}"
-    return _Checked(up @ W @ up.T, misfit, words)
+    return up @ W @ up.T, misfit, words
 
 
 def _field_nT(problem: LinearProblem) -> float:

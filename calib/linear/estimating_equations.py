@@ -10,12 +10,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fluxtwin.calib.common.covariance import cell_starts, observed_s, segments
+from fluxtwin.calib.common.covariance import CELLS, cell_starts, observed_s, responses, segments
 from fluxtwin.calib.common.design import of_turns
 from fluxtwin.calib.common.error_model import LikelihoodCells, Posterior
 from fluxtwin.calib.common.records import seconds_of
 from fluxtwin.calib.common.regression import BLOCK_ROWS
-from fluxtwin.calib.common.slow_errors import CELLS, responses
 from fluxtwin.calib.linear.problem import LinearProblem, Solution
 from fluxtwin.sim.base.types import FloatArray
 

@@ -9,9 +9,9 @@ import numpy as np
 
 from fluxtwin.calib.common.design import Design
 from fluxtwin.calib.common.noise import ReadingNoise
+from fluxtwin.calib.common.options import LinearOptions
 from fluxtwin.calib.common.records import Calibration
 from fluxtwin.calib.common.regression import Regression
-from fluxtwin.calib.linear.method import LinearOptions
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 
 

@@ -10,7 +10,6 @@ unless it was changed). A parameter file has NAME,VALUE on each line and comment
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 
 import numpy as np
 
@@ -44,9 +43,6 @@ class ArduPilot(Target):
         values = [*(-held.o_nT / NT_PER_MG), *six_of(held.M), 1.0]
         names = [*_names(instance), _scale(instance)]
         return tuple(Number(*of) for of in zip(names, map(float32, values), units, strict=True))
-
-    def lay_out(self, numbers: Sequence[Number], heading: Sequence[str], instance: int) -> str:
-        return "\n".join([*(f"# {line}" for line in heading), *(f"{n.name},{n.text}" for n in numbers), ""])
 
     def is_of(self, text: str) -> bool:
         return re.search(r"^\s*COMPASS_OFS\d?_X\b", text, re.MULTILINE) is not None

@@ -61,7 +61,7 @@ class CubeAdcs(Target):
 
     def lay_out(self, numbers: Sequence[Number], heading: Sequence[str], instance: int) -> str:
         stated = f"{self._stated} telecommand {_TELECOMMANDS[instance]}, in the order of the telecommand"
-        return "\n".join([*(f"# {line}" for line in (stated, *heading)), *(f"{n.name},{n.text}" for n in numbers), ""])
+        return super().lay_out(numbers, (stated, *heading), instance)
 
     def is_of(self, text: str) -> bool:
         found = _FIRST.search(text)

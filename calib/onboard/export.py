@@ -18,8 +18,12 @@ from fluxtwin.calib.common.conventions import (
 from fluxtwin.calib.common.digits import plain
 from fluxtwin.calib.common.direction import ROWS, even_directions
 from fluxtwin.calib.common.records import Calibration
+from fluxtwin.calib.onboard import cubeadcs
+from fluxtwin.calib.onboard.ardupilot import ArduPilot
+from fluxtwin.calib.onboard.gomspace import GomSpace
+from fluxtwin.calib.onboard.own import CHeader, Json, Matlab
+from fluxtwin.calib.onboard.px4 import Px4
 from fluxtwin.calib.onboard.target import Number, Target
-from fluxtwin.calib.onboard.targets import NAMES, TARGETS, find_target
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.limits import text_of
 from fluxtwin.sim.base.seals import require_sealed
@@ -28,6 +32,9 @@ from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.earth.frames import angle_between
 
+TARGETS: dict[str, Target] = {one.name: one for one in (ArduPilot(), Px4(), GomSpace(), CHeader(), Json(), Matlab())}
+TARGETS |= {name: cubeadcs.stated(name) for name in cubeadcs.STATED}
+NAMES = tuple(dict.fromkeys(name.partition(":")[0] for name in TARGETS))
 FIELDS_NT = (20e3, 60e3)
 """Field sizes in low orbit, over which the added error is given."""
 WORST_FORM_DEG = 1.0
@@ -97,6 +104,15 @@ class Export(Shown):
         if not self.comment:
             return files.write_text(path, self.text)
         return files.write_toml(path, self.text, comment=self.comment)
+
+
+def find_target(name: str) -> Target:
+    """The target of that name. Raises BadInput for none."""
+    if name in TARGETS:
+        return TARGETS[name]
+    if name.partition(":")[0] == cubeadcs.CubeAdcs.name:
+        return cubeadcs.stated(name)
+    raise BadInput(f"{name!r} is no target", where="--to", wanted=" or ".join(NAMES))
 
 
 def export_calibration(calibration: Calibration, to: str, *, instance: int = 1, force: bool = False) -> Export:

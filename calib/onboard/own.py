@@ -21,7 +21,6 @@ from fluxtwin.sim.base.types import FloatArray
 
 _FORMULA = "B = M (m - o); m, B, o in nT"
 _WITH_T = "B = M (m - o) + T D; m, B, o in nT, D in A m2, T in nT/(A m2)"
-_ELEMENT = re.compile(r"(?P<name>[A-Za-z_]+)\[(?P<row>\d)\](\[(?P<column>\d)\])?")
 _PREFIX = "FLUXTWIN_MAG_"
 
 
@@ -143,15 +142,14 @@ class Matlab(_Own):
 
 def _arrays(numbers: Sequence[Number]) -> dict[str, list[list[str]]]:
     """The texts of M, o and T, row by row."""
-    found: dict[str, list[list[str]]] = {}
+    found: dict[str, list[str]] = {}
     for number in numbers:
-        match = _ELEMENT.fullmatch(number.name)
-        assert match is not None
-        rows = found.setdefault(match["name"], [])
-        if match["column"] in (None, "0"):
-            rows.append([])
-        rows[-1].append(number.text)
-    return found
+        found.setdefault(number.name.partition("[")[0], []).append(number.text)
+    columns = {"M": 3, "o": 1, "T": 3}
+    return {
+        name: [texts[k : k + columns[name]] for k in range(0, len(texts), columns[name])]
+        for name, texts in found.items()
+    }
 
 
 def _braces(words: Sequence[str]) -> str:

@@ -54,9 +54,9 @@ class Target(ABC):
     def numbers(self, held: OffsetFirst, instance: int) -> tuple[Number, ...]:
         """The numbers of the file, rounded to its type; instance counts from 1."""
 
-    @abstractmethod
     def lay_out(self, numbers: Sequence[Number], heading: Sequence[str], instance: int) -> str:
-        """The whole file but its first line, which says who wrote it."""
+        """The whole file but its first line, which says who wrote it; by default NAME,VALUE on each line."""
+        return "\n".join([*(f"# {line}" for line in heading), *(f"{n.name},{n.text}" for n in numbers), ""])
 
     @abstractmethod
     def is_of(self, text: str) -> bool:

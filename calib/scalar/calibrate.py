@@ -7,43 +7,29 @@
 | `scalar` | maximum likelihood of |B| (`maximum_likelihood`), from TWOSTEP; takes torquers and columns of telemetry |
 
 A rotation of the magnetometer leaves |B| as it is: S is found up to one and given symmetric.
-
-The answer of a calibration without attitude: from D, b, s of the scalar form to S, b, T of journal eq. 1.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from fluxtwin.calib.common import drivers, observability
 from fluxtwin.calib.common.conventions import PAIRS
 from fluxtwin.calib.common.design import joined
+from fluxtwin.calib.common.error_model import white_errors
 from fluxtwin.calib.common.fit import Fit, with_warnings
 from fluxtwin.calib.common.noise import ReadingNoise, scalar_noise
+from fluxtwin.calib.common.options import ScalarOptions
 from fluxtwin.calib.common.records import Calibration, TelemetryBias
-from fluxtwin.calib.common.residuals import residual_statistics
 from fluxtwin.calib.common.robust import outlier_words, rows_to_keep
-from fluxtwin.calib.common.verdict import kept_rows
-from fluxtwin.calib.scalar import words
 from fluxtwin.calib.scalar.covariance import Scores, field_error_covariance, scalar_covariance, scores_of
-from fluxtwin.calib.scalar.maximum_likelihood import Solved, Sums, add_up, solve
-from fluxtwin.calib.scalar.method import ScalarOptions
-from fluxtwin.calib.scalar.model import ScalarData, pack, residual, unpack
-from fluxtwin.calib.scalar.observability import (
-    Geometry,
-    choose,
-    geometry,
-    other_solution,
-    parameter_words,
-    refuse_thin,
-    require_meaning,
-    require_observed,
-)
-from fluxtwin.calib.scalar.rows import ScalarRows, assemble_scalar
+from fluxtwin.calib.scalar.model import ScalarData, Solved, Sums, add_up, pack, residual, solve, unpack
+from fluxtwin.calib.scalar.observability import choose, other_solution, refuse_thin, require_meaning, require_observed
+from fluxtwin.calib.scalar.rows import DIPOLES, ScalarProblem, ScalarRows, assemble_scalar, make_problem
 from fluxtwin.calib.scalar.twostep import center, center_terms, twostep
 from fluxtwin.sim.base.errors import NoAnswer
 from fluxtwin.sim.base.types import BoolArray, FloatArray
@@ -54,9 +40,10 @@ NO_ROTATION = (
     "how the magnetometer is turned in the body: |B| does not show it. S is given symmetric, S12 = S21, S13 = S31, "
     "S23 = S32; its rotation is not in the sigmas"
 )
-_DIPOLES = ("dipole_x_Am2", "dipole_y_Am2", "dipole_z_Am2")
-_SMALL = 1e-6
-"""Noise in parts of the field, before it is known."""
+_NAMES = {"center": "CENTER", "twostep": "TWOSTEP with the noise term corrected", "scalar": "scalar maximum likelihood"}
+_MISSTATED = 1.25
+_WORTH = 0.1
+_CONSTANT = 0.05
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,94 +60,56 @@ class ScalarFit(Fit):
 
 
 def file_parameters(
-    p: FloatArray,
-    covariance: FloatArray,
-    data: ScalarData,
-    columns: tuple[str, ...],
-    scale_nT: float,
-    units: FloatArray,
+    p: FloatArray, covariance: FloatArray, problem: ScalarProblem
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, dict[str, TelemetryBias]]:
-    """S (3, 3), b_nT (3,), T (3, 3), their covariance (21, 21) in the order of the calibration file, and other fields.
+    """From D, b, s of the scalar form: S (3, 3), b_nT (3,), T (3, 3) of journal eq. 1, their covariance, and other fields.
 
-    O = I: I + S = I + D, b = -b_A, T = -(I+D) s. units: (J,) rms of the columns that they were scaled by.
+    The covariance is (21 + 3J, 21 + 3J), in the order of the calibration file, that of the other fields behind it.
+    O = I: I + S = I + D, b = -b_A, T = -(I+D) s.
     """
+    data, scale_nT, columns = problem.data, problem.scale_nT, problem.columns
     D, b, s = unpack(p, data)
-    sigma_s = np.sqrt(np.diag(covariance))[(6 if data.with_D else 0) + 3 :].reshape(-1, 3)
-    biases = {}
-    P = np.eye(3) + D
-    T = np.zeros((3, 3))
-    jacobian = np.zeros((21, len(p)))
-    at = 0
-    if data.with_D:
-        for k, (i, j) in enumerate(PAIRS):
-            jacobian[3 * i + j, k] = jacobian[3 * j + i, k] = 1.0
-        at = 6
+    at = 6 if data.with_D else 0
+    P, T = np.eye(3) + D, np.zeros((3, 3))
+    jacobian = np.zeros((21 + 3 * len(problem.drivers), len(p)))
+    for k, (i, j) in enumerate(PAIRS if data.with_D else ()):
+        jacobian[3 * i + j, k] = jacobian[3 * j + i, k] = 1.0
     jacobian[9:12, at : at + 3] = -scale_nT * np.eye(3)
+    row = 21
     for j, name in enumerate(columns):
-        per = scale_nT / units[j]
-        if name not in _DIPOLES:
-            biases[name] = TelemetryBias(s[j] * per, sigma_s[j] * per)
+        per, own = scale_nT / problem.units[j], slice(at + 3 + 3 * j, at + 6 + 3 * j)
+        if name not in DIPOLES:
+            jacobian[row : row + 3, own] = per * np.eye(3)
+            row += 3
             continue
-        axis = _DIPOLES.index(name)
+        axis = DIPOLES.index(name)
         T[:, axis] = -per * P @ s[j]
         rows = 12 + 3 * np.arange(3) + axis
-        jacobian[rows, at + 3 + 3 * j : at + 6 + 3 * j] = -per * P
-        if data.with_D:
-            for k, (m, n) in enumerate(PAIRS):
-                unit = np.zeros((3, 3))
-                unit[m, n] = unit[n, m] = 1.0
-                jacobian[rows, k] = -per * unit @ s[j]
-    return D, -b * scale_nT, T, jacobian @ covariance @ jacobian.T, biases
+        jacobian[rows, own] = -per * P
+        for k, (m, n) in enumerate(PAIRS if data.with_D else ()):
+            unit = np.zeros((3, 3))
+            unit[m, n] = unit[n, m] = 1.0
+            jacobian[rows, k] = -per * unit @ s[j]
+    whole = jacobian @ covariance @ jacobian.T
+    fields_nT = scale_nT / problem.units[:, None] * s
+    sigmas_nT = np.sqrt(np.diag(whole)[21:]).reshape(-1, 3)
+    biases = {
+        name: TelemetryBias(fields_nT[columns.index(name)], sigma_nT)
+        for name, sigma_nT in zip(problem.drivers, sigmas_nT, strict=True)
+    }
+    return D, -b * scale_nT, T, whole, biases
 
 
-def driver_covariance(
-    covariance: FloatArray, data: ScalarData, columns: tuple[str, ...], scale_nT: float, units: FloatArray
-) -> FloatArray:
-    """(3J, 3J) of the fields that follow columns other than the dipole; arguments as `file_parameters`."""
-    own = [j for j, name in enumerate(columns) if name not in _DIPOLES]
-    start = (6 if data.with_D else 0) + 3
-    place = np.array([start + 3 * j + axis for j in own for axis in range(3)], dtype=int)
-    per = np.repeat(scale_nT / units[own], 3)
-    return np.asarray(np.outer(per, per) * covariance[np.ix_(place, place)])
-
-
-class ScalarProblem(NamedTuple):
-    """The rows at work, without units."""
-
-    rows: ScalarRows
-    options: ScalarOptions
-    data: ScalarData
-    scale_nT: float
-    """rms |H|, the unit."""
-    columns: tuple[str, ...]
-    rms_of: dict[str, float]
-    """rms of each column that was used."""
-    never_fired: tuple[str, ...]
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """(p,) parameters."""
-        return parameter_words(self.data, self.columns)
-
-    def with_noise(self, noise: ReadingNoise) -> ScalarProblem:
-        """The same with Sigma known."""
-        least = (_SMALL * self.scale_nT) ** 2
-        Sigma = np.diag(np.maximum(noise.variance_nT2, least)) / self.scale_nT**2
-        return self._replace(data=self.data._replace(Sigma=Sigma))
-
-
-def calibrate_scalar(
-    records: Telemetry | Sequence[Telemetry], model: FieldModel, options: ScalarOptions | None = None, **given: Any
-) -> ScalarFit:
+def calibrate_scalar(records: Telemetry | Sequence[Telemetry], model: FieldModel, **given: Any) -> ScalarFit:
     """Calibrate one or several records against |H| of `model`; no attitude is looked at.
 
-    given: fields of `ScalarOptions`, where no options are. Raises BadInput for unknown options and absent columns,
+    given: fields of `ScalarOptions`. Raises BadInput for unknown options and absent columns,
     OutOfRange for epochs outside the model, NoAnswer, naming the parameters and the null direction, when the data do not
     determine them or two solutions fit alike.
     """
-    options = ScalarOptions(**given) if options is None else options
+    options = ScalarOptions(**given)
     telemetry = joined(records)
-    asked = drivers.asked_for(telemetry, [*options.driver, *options.telemetry_bias])
+    asked = drivers.asked_for(telemetry, options.driver)
     rows = assemble_scalar(telemetry, model, with_dipole="T" in options.parameters, drivers=asked.columns)
     labels = None if options.passes is None else np.asarray(options.passes)[rows.rows]
     own = {name: values for name, values in rows.columns.items() if name not in asked.columns}
@@ -182,7 +131,7 @@ def _drops(fit: ScalarFit, rows: ScalarRows, name: str, tried: FloatArray) -> Fl
     |B| is taken as a linear function of the parameters about the fit: a turn of the field by a column does not show. Errors
     of the field model, which last, count as fewer rows.
     """
-    known, kept = fit.calibration, kept_rows(fit.weights)
+    known, kept = fit.calibration, fit.kept
     true = known.apply(rows.B_nT, np.zeros_like(rows.B_nT), rows.columns)
     along = (true / np.linalg.norm(true, axis=1)[:, None]) @ (np.eye(3) + known.S)
     y = (fit.residuals_nT - drivers.drawn_in(fit.residuals_nT, kept))[:, 0]
@@ -195,7 +144,7 @@ def _drops(fit: ScalarFit, rows: ScalarRows, name: str, tried: FloatArray) -> Fl
     step_s = float(np.median(np.diff(fit.time).astype("int64"))) * 1e-9
     memory = max(2.0 * fit.statistics.correlation_time_s / step_s, 1.0)
     left = float((fit.residuals_nT[kept] ** 2).mean())
-    return drivers.drops_of(seen.T @ seen / (left * memory), 3 * len(others), 3)
+    return drivers.drops_of(seen.T @ seen / (left * memory), 3 * len(others))
 
 
 def fit_rows(
@@ -203,58 +152,39 @@ def fit_rows(
 ) -> ScalarFit:
     """The calibration of rows that are already assembled; arguments and errors as `calibrate_scalar`."""
     problem = make_problem(rows, options)
-    how = geometry(problem.data, problem.scale_nT)
     start = pack(np.zeros((3, 3)), center(problem.data), problem.data)
-    require_observed(add_up(start, problem.data, noise=True), problem.names, how)
+    require_observed(add_up(start, problem.data, noise=True), problem)
     solved, kept = _first(problem, start)
     observability.require_samples(int(kept.sum()), problem.data.size + 1)
     a = kept.astype(np.float64)
     noise = scalar_noise(
         rows.B_nT, rows.time, residual(solved.p, problem.data) * problem.scale_nT, options.noise_nT, options.lsb_nT
     )
-    problem = problem.with_noise(noise)
-    how = geometry(problem.data, problem.scale_nT)
-    first = solved
+    problem, first = problem.with_noise(noise), solved
     try:
         solved, notes = _estimate(problem, first, a)
     except NoAnswer:
         for p in (start, first.p):  # says more where it applies
-            require_observed(add_up(p, problem.data, noise=True), problem.names, how, over_noise=10.0)
-        refuse_thin(add_up(start, problem.data), problem.names, how)
+            require_observed(add_up(p, problem.data, noise=True), problem, over_noise=10.0)
+        refuse_thin(add_up(start, problem.data), problem)
         raise
     inflation = solved.sums.cost / max(float(a.sum()) - problem.data.size, 1.0)
     scores = _scores(problem, solved, a)
     if options.method == "center":
-        require_observed(_center_sums(problem, solved), problem.names, how, max(inflation, 1.0))
+        require_observed(_center_sums(problem, solved), problem, max(inflation, 1.0))
     else:
         sums = add_up(solved.p, problem.data, a, noise=True)
-        require_observed(sums, problem.names, how, inflation if options.noise_nT is None else max(inflation, 1.0))
+        require_observed(sums, problem, inflation if options.noise_nT is None else max(inflation, 1.0))
         polished = solve(solved.p, problem.data, a) if options.method == "twostep" else solved
         mirrored = other_solution(polished, problem.data, a)
         if mirrored is not None:
-            better, sentence = choose(polished, mirrored, problem.data, problem.names, problem.scale_nT, inflation, how)
+            better, sentence = choose(polished, mirrored, problem, inflation)
             solved = solved if better is polished else better
             scores = _scores(problem, solved, a)
             notes.append(sentence)
         settled = options.robust != "none" and solved.converged
-        require_meaning(solved, problem.data, problem.names, how, problem.scale_nT, robust=settled)
-    return _report(problem, solved, scores, noise, kept, how, inflation, notes, model_name, passes)
-
-
-def make_problem(rows: ScalarRows, options: ScalarOptions) -> ScalarProblem:
-    """Scale the rows; columns that are zero throughout are dropped."""
-    scale = float(np.sqrt((rows.H_nT**2).mean()))
-    rms = {name: float(np.sqrt((values**2).mean())) for name, values in rows.columns.items()}
-    columns = tuple(name for name, size in rms.items() if size > 0)
-    used = (
-        np.stack([rows.columns[name] / rms[name] for name in columns], axis=1) if columns else np.zeros((len(rows), 0))
-    )
-    data = ScalarData(rows.B_nT / scale, rows.H_nT / scale, used, _SMALL**2 * np.eye(3), options.parameters != "b")
-    observability.require_samples(len(rows), data.size + 1)
-    if not (data.B**2).sum() > 0:
-        raise NoAnswer("the magnetometer reads zero throughout: nothing can be calibrated", evidence={})
-    dead = tuple(name for name in rms if rms[name] == 0)
-    return ScalarProblem(rows, options, data, scale, columns, rms, dead)
+        require_meaning(solved, problem, robust=settled)
+    return _report(problem, solved, scores, noise, kept, inflation, notes, model_name, passes)
 
 
 def _first(problem: ScalarProblem, start: FloatArray) -> tuple[Solved, BoolArray]:
@@ -280,10 +210,10 @@ def _estimate(problem: ScalarProblem, first: Solved, a: FloatArray) -> tuple[Sol
     notes = []
     step = twostep(data._replace(columns=data.columns[:, :0]), a)
     if data.with_D and step.centred_eigenvalue < 0.5:
-        notes.append(words.trivial(data))
+        notes.append(_trivial(data))
     if method == "twostep":
         if not step.converged:
-            raise NoAnswer(words.not_settled("TWOSTEP"), evidence={"b_nT": (-step.b * problem.scale_nT).tolist()})
+            raise NoAnswer(_not_settled("TWOSTEP"), evidence={"b_nT": (-step.b * problem.scale_nT).tolist()})
         p = pack(step.D, step.b, data)
         return Solved(p, add_up(p, data, a), True, 1), notes
     found = [solve(first.p, data, a)]
@@ -291,7 +221,7 @@ def _estimate(problem: ScalarProblem, first: Solved, a: FloatArray) -> tuple[Sol
         found.append(solve(pack(step.D, step.b, data), data, a))
     settled = [one for one in found if one.converged]
     if not settled:
-        raise NoAnswer(words.not_settled("the search"), evidence={"parameters": found[0].p.tolist()})
+        raise NoAnswer(_not_settled("the search"), evidence={"parameters": found[0].p.tolist()})
     return min(settled, key=lambda one: one.sums.cost), notes
 
 
@@ -317,7 +247,6 @@ def _report(
     scores: Scores,
     noise: ReadingNoise,
     kept: BoolArray,
-    how: Geometry,
     inflation: float,
     notes: list[str],
     model_name: str,
@@ -329,38 +258,39 @@ def _report(
         scores, r, rows.time, options.covariance, passes=passes, block_s=options.block_s
     )
     covariance = covariance + _from_noise(problem, scores, solved, noise)
-    messages = words.messages(rows, noise, options, inflation, problem.columns)
-    messages += [*notes, how_found]
+    messages = [*_messages(problem, noise, inflation), *notes, how_found]
     if options.field_error_nT:
         covariance = covariance + field_error_covariance(
             scores, rows.time, options.field_error_nT / problem.scale_nT, rows.radian_s
         )
-        messages.append(words.field_error(options.field_error_nT, rows.radian_s))
+        messages.append(
+            f"field model taken as wrong by {options.field_error_nT:.4g} nT rms in |H| with a memory of "
+            f"{rows.radian_s:.0f} s, a radian of the orbit"
+        )
     if not data.with_D:
-        messages += words.missing_S(solved, data, inflation)
+        messages += _missing_S(solved, data, inflation)
     if not kept.all():
         messages.append(outlier_words(kept))
-    units = np.array([problem.rms_of[name] for name in problem.columns])
-    S, b_nT, T, whole, biases = file_parameters(solved.p, covariance, data, problem.columns, problem.scale_nT, units)
+    S, b_nT, T, whole, biases = file_parameters(solved.p, covariance, problem)
     with_T = "T" in options.parameters
     residuals_nT = (r * problem.scale_nT)[:, None]
     sigma_nT = float(np.sqrt((residuals_nT[kept] ** 2).sum() / max(int(kept.sum()) - data.size, 1)))
     unobservable = [
         NO_ROTATION,
-        *words.never_fired(problem.never_fired),
+        *_never_fired(problem),
         *observability.relative_pair_words(covariance, problem.names, 1e-3),
     ]
     calibration = Calibration(
         S=S,
         b_nT=b_nT,
         T_nT_per_Am2=T if with_T else None,
-        covariance=whole if with_T else whole[:12, :12],
+        covariance=whole[:21, :21] if with_T else whole[:12, :12],
         covariance_kind=options.covariance,
         sigma_nT=sigma_nT,
         samples=int(kept.sum()),
         span=(rows.time[0], rows.time[-1]),
         field_model=model_name,
-        method=words.method(options, problem.columns),
+        method=_method_words(problem),
         unobservable=tuple(unobservable),
         telemetry_bias=biases,
     )
@@ -375,11 +305,14 @@ def _report(
         rejected=int((~kept).sum()),
         variation=observability.field_variation(rows.B_nT),
         noise=noise,
-        statistics=residual_statistics(rows.time[kept], residuals_nT[kept]),
         messages=tuple(messages),
-        error_model=words.errors(noise, options.noise_nT is not None),
-        driver_covariance=driver_covariance(covariance, data, problem.columns, problem.scale_nT, units),
-        quality={"chi2_per_sample": inflation, "field_size_variation": how.constant_share, "rounds": solved.rounds},
+        error_model=white_errors(noise.variance_nT2, declared=options.noise_nT is not None),
+        driver_covariance=whole[21:, 21:],
+        quality={
+            "chi2_per_sample": inflation,
+            "field_size_variation": problem.geometry.constant_share,
+            "rounds": solved.rounds,
+        },
     )
 
 
@@ -393,3 +326,77 @@ def _from_noise(problem: ScalarProblem, scores: Scores, solved: Solved, noise: R
     shift = add_up(solved.p, mean_r).score * 2.0 - solved.sums.score - solved.sums.shared
     moved = np.linalg.solve(scores.slope, shift) * relative
     return np.asarray(np.outer(moved, moved))
+
+
+def _method_words(problem: ScalarProblem) -> str:
+    """One line for the calibration file."""
+    parts = [f"{_NAMES[problem.options.method]} for {problem.options.parameters}, without attitude"]
+    if problem.drivers:
+        parts.append("field of " + " and ".join(problem.drivers) + " estimated")
+    if problem.options.robust != "none":
+        parts.append("without outliers")
+    return ", ".join(parts)
+
+
+def _messages(problem: ScalarProblem, noise: ReadingNoise, inflation: float) -> list[str]:
+    """Rows left out, the noise, and what the residual says of it."""
+    rows = problem.rows
+    out = [f"{count} rows left out: {reason}" for reason, count in rows.left_out.items()]
+    out.append(f"noise of the reading: {noise.source}")
+    ratio = float(np.sqrt(inflation))
+    sure = 4.0 / np.sqrt(2.0 * max(len(rows), 1))
+    if not 1.0 / _MISSTATED < ratio < _MISSTATED and abs(ratio - 1.0) > sure:
+        reason = "the declared noise is wrong, or something is not modelled"
+        if problem.options.noise_nT is None:
+            reason = "the rest lasts longer than a sample: the field model, currents, temperature or S may be wrong"
+        shift = 3.0 * abs(ratio**2 - 1.0) * noise.variance_nT2.mean() / float((rows.H_nT**2).mean())
+        out.append(
+            f"the residual of |B| is {ratio:.3g} times what the noise gives: {reason}. The sigmas follow the residual; "
+            f"were all of it noise of the reading, S would be off by {shift:.1g}"
+        )
+    if problem.drivers:
+        out.append(f"b is for {' and '.join(problem.drivers)} at zero")
+    return out
+
+
+def _missing_S(solved: Solved, data: ScalarData, inflation: float) -> list[str]:
+    """A sentence where scale and non-orthogonality, not estimated, are in the residual."""
+    full = data._replace(with_D=True, columns=data.columns[:, :0])
+    sums = add_up(pack(np.zeros((3, 3)), solved.p[:3], full), full)
+    gain = float(sums.score @ np.linalg.lstsq(sums.information, sums.score, rcond=1e-12)[0])
+    share = gain / max(sums.cost, 1e-300)
+    if share < _WORTH or gain / max(inflation, 1.0) < 50.0:
+        return []
+    return [
+        f"S is not estimated, and would take {share:.0%} of the variance of the residual: b then holds about S times the "
+        "mean reading and moves from pass to pass. Compare with --parameters b,S"
+    ]
+
+
+def _trivial(data: ScalarData) -> str:
+    """Where the centred equations are of no use."""
+    share = float(np.std(data.H) / np.mean(data.H))
+    reason = "|H| is nearly constant" if share < _CONSTANT else "the directions of the field are few"
+    return (
+        f"{reason} (|H| varies by {max(100.0 * share, 1e-6):.2g} % rms): the centred equations tend to the solution "
+        "S = -I that means nothing; the start was CENTER's bias instead"
+    )
+
+
+def _not_settled(what: str) -> str:
+    """A search without an end."""
+    return (
+        f"{what} does not settle: |B| and |H| disagree by more than a magnetometer can. Unit, position or time may be "
+        "wrong (run `fluxtwin check`), or the readings keep too close to a plane"
+    )
+
+
+def _never_fired(problem: ScalarProblem) -> list[str]:
+    """Columns that are zero throughout."""
+    out = []
+    for name in problem.rows.columns:
+        if name not in problem.columns:
+            axis = DIPOLES.index(name) + 1 if name in DIPOLES else 0
+            what = f"T1{axis}, T2{axis} and T3{axis}" if axis else f"the field of {name}"
+            out.append(f"{what} not estimated: {name} is zero throughout these data")
+    return out

@@ -13,11 +13,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fluxtwin.calib.common.covariance import FEWEST_BLOCKS, batch_widening, groupings, observed_s, segments
+from fluxtwin.calib.common.covariance import (
+    FEWEST_BLOCKS,
+    batch_widening,
+    cells,
+    groupings,
+    kernel_moments,
+    observed_s,
+    segments,
+)
 from fluxtwin.calib.common.shrinkage import grown
-from fluxtwin.calib.common.slow_errors import cells, kernel_moments
-from fluxtwin.calib.scalar.maximum_likelihood import Solved
-from fluxtwin.calib.scalar.model import ScalarData, blocks, terms
+from fluxtwin.calib.scalar.model import ScalarData, Solved, blocks, terms
 from fluxtwin.sim.base.types import FloatArray, TimeArray
 
 _CELLS = 2000

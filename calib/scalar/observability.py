@@ -11,20 +11,18 @@ Readings in a plane with normal n leave a mirror solution: with b' = b + 2 (n.(<
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from fluxtwin.calib.common.observability import PART, ROUNDING, WORST_SIGMA, direction_words, listed
 from fluxtwin.calib.common.records import LARGE_S
 from fluxtwin.calib.common.robust import find_outliers
-from fluxtwin.calib.scalar.maximum_likelihood import Solved, Sums, solve
-from fluxtwin.calib.scalar.model import ScalarData, residual, unpack
+from fluxtwin.calib.scalar.model import ScalarData, Solved, Sums, residual, solve, unpack
+from fluxtwin.calib.scalar.rows import ScalarProblem
 from fluxtwin.sim.base.errors import NoAnswer
 from fluxtwin.sim.base.types import FloatArray
 
-_THIN = 0.05
-"""A reading that moves by less than that share of the field along a direction keeps to a plane or a cone."""
 _THREE_SIGMA = 9.0
 _FARTHEST = 3.0
 """A bias of more fields than that is a search that ran away."""
@@ -32,63 +30,7 @@ _APART = 5.0
 """Sigmas between two solutions that are not one."""
 
 
-class Geometry(NamedTuple):
-    """How the readings move."""
-
-    weakest_B: FloatArray
-    """(3,) direction in which they move least."""
-    moves_nT: FloatArray
-    """(3,) rms along the eigen-directions, ascending."""
-    field_nT: float
-    """rms |H|."""
-    constant_share: float
-    """rms variation of |H| over its mean."""
-    cone_axis_B: FloatArray
-    """(3,) direction to which the angle of the readings changes least."""
-    cone_spread: float
-    """rms of the cosine of that angle about its mean."""
-
-    def words(self) -> str:
-        """How the readings keep to a line, a plane or a cone; empty where they do not."""
-        thin = _THIN * self.field_nT
-        if self.moves_nT[1] < thin:
-            return f"the reading moves by {self.moves_nT[2]:.4g} nT along one line and hardly across it"
-        if self.moves_nT[0] < thin:
-            out = f"moves {self.moves_nT[0]:.3g} nT out of it" if self.moves_nT[0] > 0 else "leaves it within the noise"
-            return f"the reading keeps to a plane with normal {direction_words(self.weakest_B)} (it {out})"
-        if self.cone_spread < _THIN:
-            return f"the reading keeps to a cone about {direction_words(self.cone_axis_B)}"
-        return ""
-
-
-def geometry(data: ScalarData, scale_nT: float) -> Geometry:
-    """From the rows; the noise is taken off the moments."""
-    values, vectors = np.linalg.eigh(np.cov(data.B.T) - data.Sigma)
-    unit = data.B / np.sqrt((data.B**2).sum(axis=1))[:, None]
-    of_unit, axes = np.linalg.eigh(np.cov(unit.T))
-    return Geometry(
-        weakest_B=vectors[:, 0],
-        moves_nT=np.sqrt(np.maximum(values, 0.0)) * scale_nT,
-        field_nT=scale_nT,
-        constant_share=float(np.std(data.H) / np.mean(data.H)),
-        cone_axis_B=axes[:, 0],
-        cone_spread=float(np.sqrt(max(of_unit[0], 0.0))),
-    )
-
-
-def parameter_words(data: ScalarData, columns: tuple[str, ...]) -> tuple[str, ...]:
-    """(p,) names as the calibration file has them; S is symmetric here."""
-    names = ["S11", "S22", "S33", "S12", "S13", "S23"] if data.with_D else []
-    names += ["b1", "b2", "b3"]
-    for column in columns:
-        axis = {"dipole_x_Am2": 1, "dipole_y_Am2": 2, "dipole_z_Am2": 3}.get(column)
-        names += [f"T{i}{axis}" if axis else f"{column} {'xyz'[i - 1]}" for i in (1, 2, 3)]
-    return tuple(names)
-
-
-def require_observed(
-    sums: Sums, names: tuple[str, ...], how: Geometry, inflation: float = 1.0, *, over_noise: float = 1.0
-) -> None:
+def require_observed(sums: Sums, problem: ScalarProblem, inflation: float = 1.0, *, over_noise: float = 1.0) -> None:
     """Raises NoAnswer naming the parameters of a combination that the rows do not determine.
 
     inflation: variance of the residual over what the noise gives. over_noise: so many times the share of the noise
@@ -102,37 +44,31 @@ def require_observed(
     poor = np.flatnonzero((values < ROUNDING * values[-1]) | only_noise | (sigma > WORST_SIGMA))
     if poor.size:
         k, v = poor[0], vectors[:, poor[0]]
-        also = [name for other in poor[1:] for name in _named(vectors[:, other], names)]
-        said = _refusal(v, names, how, float(sigma[k]), bool(only_noise[k]), also)
-        raise NoAnswer(said, evidence=_evidence(v, names, how, float(sigma[k])))
+        also = [name for other in poor[1:] for name in _named(vectors[:, other], problem.names)]
+        said = _refusal(v, problem, float(sigma[k]), bool(only_noise[k]), also)
+        raise NoAnswer(said, evidence=_evidence(v, problem, float(sigma[k])))
 
 
-def refuse_thin(sums: Sums, names: tuple[str, ...], how: Geometry) -> None:
+def refuse_thin(sums: Sums, problem: ScalarProblem) -> None:
     """Raises NoAnswer with the least determined direction where the readings keep to a line, a plane or a cone."""
-    if how.words():
+    if problem.geometry.words():
         v = np.linalg.eigh(sums.information)[1][:, 0]
-        raise NoAnswer(_refusal(v, names, how, float("inf"), False), evidence=_evidence(v, names, how, float("inf")))
+        raise NoAnswer(_refusal(v, problem, np.inf, False), evidence=_evidence(v, problem, np.inf))
 
 
-def _refusal(
-    v: FloatArray,
-    names: tuple[str, ...],
-    how: Geometry,
-    sigma: float,
-    only_noise: bool,
-    also: Sequence[str] = (),
-) -> str:
+def _refusal(v: FloatArray, problem: ScalarProblem, sigma: float, only_noise: bool, also: Sequence[str] = ()) -> str:
     """also: names of further directions that are no better."""
+    names, thin = problem.names, problem.geometry.words()
     named = _named(v, names)
     mixture = _mixture(v, names)
     kind = "does not determine" if sigma > 1e3 or only_noise else "hardly determines"
-    reason = how.words() or ("only its noise moves them" if only_noise else "the field varies too little")
+    reason = thin or ("only its noise moves them" if only_noise else "the field varies too little")
     what = listed(named)
     more = [name for name in names if name in also and name not in named]
     others = f"; further directions with {listed(more)} are no better" if more else ""
     mixed = f" (null direction {mixture})" if len(named) > 1 else ""
     # Readings that keep to a plane or a cone leave a component of b free, or what S does goes into it.
-    free_bias = bool(how.words()) or any(name[0] == "b" for name in [*named, *more])
+    free_bias = bool(thin) or any(name[0] == "b" for name in [*named, *more])
     several = any(name[0] == "S" for name in names) and not free_bias
     less = ", fewer parameters (--parameters b)" if several else ""
     return (
@@ -141,44 +77,44 @@ def _refusal(
     )
 
 
-def _evidence(v: FloatArray, names: tuple[str, ...], how: Geometry, sigma: float) -> dict[str, Any]:
+def _evidence(v: FloatArray, problem: ScalarProblem, sigma: float) -> dict[str, Any]:
+    how = problem.geometry
     return {
-        "null_direction": {name: float(part) for name, part in zip(names, v, strict=True)},
-        "parameters": _named(v, names),
+        "null_direction": {name: float(part) for name, part in zip(problem.names, v, strict=True)},
+        "parameters": _named(v, problem.names),
         "relative_sigma": sigma if sigma < 1e6 else None,
         "moves_nT": how.moves_nT.tolist(),
         "geometry": how.words(),
     }
 
 
-def require_meaning(
-    solved: Solved, data: ScalarData, names: tuple[str, ...], how: Geometry, scale_nT: float, *, robust: bool
-) -> None:
+def require_meaning(solved: Solved, problem: ScalarProblem, *, robust: bool) -> None:
     """Raises NoAnswer for a matrix that no magnetometer has.
 
     Where the readings hardly go the sums may hold such a combination to be known: errors that repeat with the spin, of
     attitude-free data the most usual ones, move the residual as a signal would. Elsewhere it comes of bit errors, of
     a wrong unit or orbit; a fit without outliers that converged is returned, with a warning.
     """
-    D, _, _ = unpack(solved.p, data)
+    D, _, _ = unpack(solved.p, problem.data)
     values, vectors = np.linalg.eigh(D)
-    worst = int(np.argmax(np.abs(values)))
-    if abs(values[worst]) <= LARGE_S or (robust and not how.words()):
+    worst, thin = int(np.argmax(np.abs(values))), problem.geometry.words()
+    if abs(values[worst]) <= LARGE_S or (robust and not thin):
         return
-    r = residual(solved.p, data)
+    r = residual(solved.p, problem.data)
+    left_nT = float(np.std(r)) * problem.scale_nT
     null = np.linalg.eigh(solved.sums.information)[1][:, 0]
     raise NoAnswer(
-        f"the fit leaves {float(np.std(r)) * scale_nT:.3g} nT and means nothing: S comes out as {values[worst]:+.2g} along "
+        f"the fit leaves {left_nT:.3g} nT and means nothing: S comes out as {values[worst]:+.2g} along "
         f"{direction_words(vectors[:, worst])}, and no magnetometer is that wrong; "
-        + _why_meaningless(how, int(find_outliers(r[:, None]).sum()), len(r), _mixture(null, names)),
-        evidence=_evidence(null, names, how, float("inf")),
+        + _why_meaningless(thin, int(find_outliers(r[:, None]).sum()), len(r), _mixture(null, problem.names)),
+        evidence=_evidence(null, problem, np.inf),
     )
 
 
-def _why_meaningless(how: Geometry, outlying: int, rows: int, mixture: str) -> str:
-    if how.words():
+def _why_meaningless(thin: str, outlying: int, rows: int, mixture: str) -> str:
+    if thin:
         return (
-            f"{how.words()}. There errors of the model look like signal; least determined is {mixture}. Add attitudes in "
+            f"{thin}. There errors of the model look like signal; least determined is {mixture}. Add attitudes in "
             "which the field leaves the plane, or give the attitude (--method linear)"
         )
     if outlying:
@@ -217,32 +153,25 @@ def other_solution(solved: Solved, data: ScalarData, a: FloatArray | None) -> So
     return mirrored if float(step @ solved.sums.information @ step) > _APART**2 else None
 
 
-def choose(
-    solved: Solved,
-    mirrored: Solved,
-    data: ScalarData,
-    names: tuple[str, ...],
-    scale_nT: float,
-    inflation: float,
-    how: Geometry,
-) -> tuple[Solved, str]:
+def choose(solved: Solved, mirrored: Solved, problem: ScalarProblem, inflation: float) -> tuple[Solved, str]:
     """The better of two solutions and a sentence; raises NoAnswer where neither is better by three sigma.
 
     The difference of the costs is compared with its own scatter from row to row (Vuong 1989, Econometrica 57, 307): noise
     out of the plane makes one of the two look better by chance.
     """
+    data, names = problem.data, problem.names
     better, worse = sorted((solved, mirrored), key=lambda one: one.sums.cost)
     steps = residual(worse.p, data) ** 2 - residual(better.p, data) ** 2
     chance = float(np.std(steps) * np.sqrt(len(steps)))
     gain = (worse.sums.cost - better.sums.cost) / inflation
-    ours, theirs = (-unpack(one.p, data)[1] * scale_nT for one in (better, worse))
+    ours, theirs = (-unpack(one.p, data)[1] * problem.scale_nT for one in (better, worse))
     between = worse.p - better.p
     if gain < _THREE_SIGMA or steps.sum() < 3.0 * chance:
         raise NoAnswer(
             f"two solutions fit equally well, mirrors of each other: b = {_three(ours)} nT and b = {_three(theirs)} "
             f"nT, {_mixture(between / np.linalg.norm(between), names)} apart in parts of the field; "
-            f"{how.words() or 'the readings keep close to a plane'}. Add attitudes in which the field leaves that "
-            "plane, or give the attitude (--method linear)",
+            f"{problem.geometry.words() or 'the readings keep close to a plane'}. Add attitudes in which the field leaves "
+            "that plane, or give the attitude (--method linear)",
             evidence={
                 "parameters": _named(between, names),
                 "b_nT": [ours.tolist(), theirs.tolist()],

@@ -7,8 +7,6 @@
 
 Both need body z to be the axis of symmetry, and a record without thrust. The azimuth of the body is a convention of
 such a body: the sun sensor defines it.
-
-Outliers of a spinner in |B|: bit errors mislead a blind start, and no attitude is needed to see them.
 """
 
 from __future__ import annotations
@@ -23,20 +21,18 @@ from scipy.spatial.transform import Rotation
 from fluxtwin.calib.common.conventions import Forward, correction_from_forward, forward_jacobian
 from fluxtwin.calib.common.covariance import batch_widening, segments
 from fluxtwin.calib.common.design import Design, joined
+from fluxtwin.calib.common.error_model import white_errors
 from fluxtwin.calib.common.fit import Fit, with_warnings
 from fluxtwin.calib.common.noise import ReadingNoise, scalar_noise
 from fluxtwin.calib.common.observability import field_variation
+from fluxtwin.calib.common.options import LinearOptions, SpinOptions
 from fluxtwin.calib.common.records import LARGE_S, Calibration
 from fluxtwin.calib.common.residuals import residual_statistics
 from fluxtwin.calib.common.robust import TUKEY_AT, find_outliers, robust_distance, rows_to_keep
 from fluxtwin.calib.linear.calibrate import fit_design
-from fluxtwin.calib.linear.method import LinearOptions
-from fluxtwin.calib.scalar.maximum_likelihood import solve
-from fluxtwin.calib.scalar.model import ScalarData, pack, residual
+from fluxtwin.calib.scalar.model import ScalarData, pack, residual, solve
 from fluxtwin.calib.scalar.twostep import twostep
-from fluxtwin.calib.scalar.words import errors
 from fluxtwin.calib.spin.batch import (
-    Batch,
     Noise,
     State,
     covariance_of_normal,
@@ -45,8 +41,7 @@ from fluxtwin.calib.spin.batch import (
     solve_batch,
 )
 from fluxtwin.calib.spin.filter import Filtered, FilterSettings, spin_filter
-from fluxtwin.calib.spin.method import SpinOptions as SpinOptions
-from fluxtwin.calib.spin.motion import SpinMotion, skew
+from fluxtwin.calib.spin.motion import SpinMotion
 from fluxtwin.calib.spin.rows import SpinRows, assemble_spin
 from fluxtwin.calib.spin.sedlak import OF_SIGMA, Iterated, at, free_motion, iterate
 from fluxtwin.calib.spin.start import SpinStart, blind_start
@@ -74,7 +69,10 @@ _CUTS = 5
 
 
 def outlying_readings(rows: SpinRows) -> np.ndarray:
-    """(N,) readings whose |B| is an outlier after a robust fit of b and S to |H|."""
+    """(N,) readings whose |B| is an outlier after a robust fit of b and S to |H|.
+
+    Bit errors mislead a blind start, and no attitude is needed to see them.
+    """
     H = np.linalg.norm(rows.H_N_nT, axis=1)
     scale = float(np.sqrt((H**2).mean()))
     data = ScalarData(rows.B_nT / scale, H / scale, np.zeros((len(H), 0)), LOOSE_NOISE**2 * np.eye(3), True)
@@ -135,22 +133,19 @@ class _Found(NamedTuple):
     """What either way ends with."""
 
     calibration: Calibration
-    A: FloatArray
     motion: SpinMotion
     quality: dict[str, float]
     messages: list[str]
     steps_rad: tuple[float, ...]
 
 
-def calibrate_spin(
-    records: Telemetry | Sequence[Telemetry], model: FieldModel, options: SpinOptions | None = None, **given: Any
-) -> SpinFit:
-    """S (9) and b (3) of one record of a spinner with sun pulses; given: fields of `SpinOptions`, where no options are.
+def calibrate_spin(records: Telemetry | Sequence[Telemetry], model: FieldModel, **given: Any) -> SpinFit:
+    """S (9) and b (3) of one record of a spinner with sun pulses; given: fields of `SpinOptions`.
 
     Raises BadInput for unknown options or no sun column, NoAnswer, in words, where no free motion fits, the iteration
     does not settle, or readings and pulses are too few.
     """
-    fit = fit_spin(assemble_spin(records, model), options or SpinOptions(**given), model_name=model.name)
+    fit = fit_spin(assemble_spin(records, model), SpinOptions(**given), model_name=model.name)
     return with_warnings(fit, joined(records), robust=fit.rejected > 0)
 
 
@@ -246,21 +241,21 @@ def _batch(rows: SpinRows, options: SpinOptions, start: SpinStart, sensors: Nois
             evidence={"field_chi2": now.field_chi2, "sun_chi2": now.sun_chi2},
         )
     words += _finished(ratio, "residuals")
-    r, _ = residuals(solved.state, rows)
-    calibration = _from_forward(solved, rows, r, options, max(now.field_chi2, 1.0))
+    calibration = _from_forward(solved.state, solved.covariance, rows, options, max(now.field_chi2, 1.0))
     quality = {"field_chi2": ratio, "sun_chi2": now.sun_chi2, "rounds": float(solved.rounds)}
-    motion = solved.state.motion
-    return _Found(calibration, motion.attitude(rows.t_s), motion, quality, words, ())
+    return _Found(calibration, solved.state.motion, quality, words, ())
 
 
-def _from_forward(solved: Batch, rows: SpinRows, r: FloatArray, options: SpinOptions, inflation: float) -> Calibration:
-    """G, o and their covariance as S, b."""
-    known = correction_from_forward(Forward(solved.state.G, solved.state.o_nT))
+def _from_forward(
+    state: State, covariance: FloatArray, rows: SpinRows, options: SpinOptions, inflation: float = 1.0
+) -> Calibration:
+    """G, o and their covariance (19, 19) as S, b."""
+    known = correction_from_forward(Forward(state.G, state.o_nT))
     order = [*range(10, 19), *range(7, 10)]
     jacobian = forward_jacobian(known)[:12, :12]
-    covariance = jacobian @ solved.covariance[np.ix_(order, order)] @ jacobian.T * inflation
+    covariance = jacobian @ covariance[np.ix_(order, order)] @ jacobian.T * inflation
     if options.covariance == "blocks":
-        covariance = covariance * batch_widening(r, segments(rows.time))
+        covariance = covariance * batch_widening(residuals(state, rows)[0], segments(rows.time))
     return Calibration(known.S, known.b_nT, None, covariance, options.covariance)
 
 
@@ -278,7 +273,7 @@ def _iterative(
         f"Js/Jt {ratio:.6g} {'as given' if options.inertia_ratio else 'from the blind start'}; the sun sensor's mounting "
         f"known to {options.sun_alignment_deg:g} deg an axis"
     ]
-    settings = FilterSettings(sensors.field_nT, sensors.sun_rad, options.torque_walk_rad_s)
+    settings = FilterSettings(sensors.field_nT, sensors.sun_rad)
     B = (rows.B_nT - o_nT) @ np.linalg.inv(G).T
     done = iterate(rows, B, start.state.motion, ratio, settings, np.radians(options.sun_alignment_deg))
     words.append(
@@ -288,21 +283,20 @@ def _iterative(
         f"the sun sensor's own turn about the sun's line is known to {np.degrees(done.sun_weakest_rad):.2g} deg from these "
         "data alone"
     )
-    known, last, passes = _regress(rows, options, done, noise, settings, ratio)
+    known, last, passes = _regress(rows, done, noise, settings, ratio)
     words.append(
         f"linear regression on that attitude and filter in turn, {passes} more passes: b and D were TWOSTEP's until then"
     )
     words += _finished(last.field_nis, "innovations")
-    motion, A = free_motion(last, ratio), last.A
-    if options.torque_walk_rad_s == 0.0:
-        known, A = _with_motion(known, motion, rows, sensors, options), motion.attitude(rows.t_s)
+    motion = free_motion(last, ratio)
+    known = _with_motion(known, motion, rows, sensors, options)
     quality = {
         "nis_first": done.first.field_nis,
         "nis_last": last.field_nis,
         "sun_nis_last": last.sun_nis,
         "rounds": float(len(done.steps_rad) + passes),
     }
-    return _Found(known, A, motion, quality, words, done.steps_rad)
+    return _Found(known, motion, quality, words, done.steps_rad)
 
 
 def _with_motion(
@@ -311,26 +305,16 @@ def _with_motion(
     """The same values with the covariance that leaves the motion free too: of the batch's equations there."""
     forward = known.forward
     state = State(motion, forward.G, forward.o_nT)
-    now = normal_equations(state, rows, sensors)
-    solved = Batch(state, covariance_of_normal(now), now, True, 0)
-    r, _ = residuals(state, rows)
-    return _from_forward(solved, rows, r, options, 1.0)
+    return _from_forward(state, covariance_of_normal(normal_equations(state, rows, sensors)), rows, options)
 
 
 def _regress(
-    rows: SpinRows,
-    options: SpinOptions,
-    done: Iterated,
-    noise: ReadingNoise,
-    settings: FilterSettings,
-    ratio: float,
+    rows: SpinRows, done: Iterated, noise: ReadingNoise, settings: FilterSettings, ratio: float
 ) -> tuple[Calibration, Filtered, int]:
     """Linear regression on the attitude and filter with what it gives, in turn, until a tenth of a sigma is left."""
     sigma_nT = np.sqrt(noise.variance_nT2)
     how = LinearOptions(method="forward", noise_nT=sigma_nT, lsb_nT=0.0, covariance="white", robust="none")
-    free = options.torque_walk_rad_s == 0.0
-    near = replace(settings, extended=not free)
-    motion, A = done.motion, done.last.A
+    near, motion = replace(settings, extended=False), done.motion
     before, moved, left, share, count = np.zeros(12), np.inf, np.inf, 0.0, 0
     begin = min(float(rows.t_s[0]), float(rows.pulse_s[0]))
     while left >= OF_SIGMA:
@@ -342,8 +326,8 @@ def _regress(
                 evidence={"moved_sigma": moved},
             )
         count += 1
-        A = motion.attitude(rows.t_s) if free else A
-        design = Design(rows.time, rows.B_nT, np.einsum("kij,kj->ki", A, rows.H_N_nT), None, rows.rows, {})
+        H_B = np.einsum("kij,kj->ki", motion.attitude(rows.t_s), rows.H_N_nT)
+        design = Design(rows.time, rows.B_nT, H_B, None, rows.rows, {})
         known = fit_design(design, how).calibration
         used = known
         if count % _LEAP == 0 and 0.5 < share < 0.97:
@@ -356,17 +340,13 @@ def _regress(
                 "--method batch solves for both at once",
                 evidence={"passes": count, "nis": min(filtered.field_nis, 1e300)},
             )
-        motion, A = free_motion(filtered, ratio), filtered.A
+        motion = free_motion(filtered, ratio)
         last, moved = moved, float(np.abs((known.values - before) / known.sigmas).max())
         before = used.values
         # The steps shrink by a share of the one before: what is still to come is their geometric rest.
         share = min(moved / last, 0.98)
         left = moved * max(share / (1.0 - share), 1.0)
-    # The attitude's error is common to all rows and turns the whole of it.
-    M = np.eye(3) + known.S
-    turned = np.stack([np.append((skew(e) @ M).ravel(), skew(e) @ known.b_nT) for e in np.eye(3)], axis=1)
-    covariance = known.covariance + turned @ filtered.P[:3, :3] @ turned.T
-    return Calibration(known.S, known.b_nT, None, covariance, options.covariance), filtered, count
+    return known, filtered, count
 
 
 def _finished(ratio: float, what: str) -> list[str]:
@@ -380,21 +360,19 @@ def _finished(ratio: float, what: str) -> list[str]:
 def _report(
     rows: SpinRows, options: SpinOptions, found: _Found, noise: ReadingNoise, messages: list[str], model_name: str
 ) -> SpinFit:
-    known = found.calibration
-    H_B = np.einsum("kij,kj->ki", found.A, rows.H_N_nT)
-    r = H_B - known.apply(rows.B_nT)
-    statistics = residual_statistics(rows.time, r)
+    known, motion = found.calibration, found.motion
+    A = motion.attitude(rows.t_s)
+    r = np.einsum("kij,kj->ki", A, rows.H_N_nT) - known.apply(rows.B_nT)
     label = {"batch": "batch of motion and magnetometer", "iterative": "TWOSTEP, filter, alignment, linear regression"}
     calibration = replace(
         known,
-        sigma_nT=float(statistics.component_rms_nT),
+        sigma_nT=residual_statistics(rows.time, r).component_rms_nT,
         samples=len(rows),
         span=(rows.time[0], rows.time[-1]),
         field_model=model_name,
         method=f"{label[options.method]} for b,S, spinning, without attitude",
         unobservable=(GAUGE,),
     )
-    motion = found.motion
     nutation_deg = float(np.degrees(motion.nutation_rad))
     said = [*messages, *found.messages, f"nutation {nutation_deg:.3g} deg, Js/Jt {motion.inertia_ratio:.6g}"]
     return SpinFit(
@@ -408,16 +386,15 @@ def _report(
         rejected=0,
         variation=field_variation(rows.B_nT),
         noise=noise,
-        statistics=statistics,
         messages=tuple(said),
-        q_NB=frames.q_from_rotation(Rotation.from_matrix(found.A)),
+        q_NB=frames.q_from_rotation(Rotation.from_matrix(A)),
         motion={
             "spin_rad_s": motion.spin_rad_s,
             "nutation_deg": nutation_deg,
             "inertia_ratio": motion.inertia_ratio,
             "precession_rad_s": float(np.linalg.norm(motion.Om_N_rad_s)),
         },
-        error_model=errors(noise, options.noise_nT is not None),
+        error_model=white_errors(noise.variance_nT2, declared=options.noise_nT is not None),
         quality=found.quality,
         steps_deg=tuple(float(np.degrees(step)) for step in found.steps_rad),
     )

@@ -25,6 +25,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fluxtwin.calib.common.conventions import best_turn
 from fluxtwin.calib.spin.filter import Filtered, FilterSettings, spin_filter
 from fluxtwin.calib.spin.motion import SpinMotion, turn, turn_vector
 from fluxtwin.calib.spin.rows import SpinRows
@@ -58,8 +59,7 @@ def align(seen: FloatArray, reference_B: FloatArray, weight: FloatArray) -> Alig
     """One sensor. seen (n, 3), any length; reference_B (n, 3) = A v, any length; weight (n,) 1/rad^2."""
     m = seen / np.linalg.norm(seen, axis=1)[:, None]
     v = reference_B / np.linalg.norm(reference_B, axis=1)[:, None]
-    U, _, Vt = np.linalg.svd((m * weight[:, None]).T @ v)
-    R = U @ np.diag([1.0, 1.0, np.linalg.det(U) * np.linalg.det(Vt)]) @ Vt
+    R = best_turn((m * weight[:, None]).T @ v)
     r = v @ R.T
     return Alignment(R, float(weight.sum()) * np.eye(3) - (r * weight[:, None]).T @ r)
 

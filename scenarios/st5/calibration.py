@@ -15,8 +15,9 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.stats import chi2
 
+from fluxtwin.calib.common.options import SpinOptions
 from fluxtwin.calib.common.records import Calibration
-from fluxtwin.calib.spin.calibrate import SpinFit, SpinOptions, fit_spin, scalar_start
+from fluxtwin.calib.spin.calibrate import SpinFit, fit_spin, scalar_start
 from fluxtwin.calib.spin.filter import Filtered, FilterSettings, spin_filter
 from fluxtwin.calib.spin.motion import SpinMotion
 from fluxtwin.calib.spin.rows import SpinRows, assemble_spin

@@ -47,7 +47,7 @@ def test_without_attitude_scalar_is_taken(cli: Cli, folder: Path, tmp_path: Path
         tmp_path / "c.toml",
         "--json",
         tmp_path / "c.json",
-        "--telemetry-bias",
+        "--driver",
         "array_current_A",
         "--figures",
         tmp_path / "figures",

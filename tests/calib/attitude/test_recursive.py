@@ -117,7 +117,6 @@ def test_b_alone_leaves_S_at_zero() -> None:
         ({"robust": "none"}, "tukey"),
         ({"covariance": "white"}, "blocks"),
         ({"block_s": 100.0}, "method linear"),
-        ({"telemetry_bias": ["temperature_degC"]}, "method scalar"),
         ({"inertia_ratio": 1.2}, "method batch or iterative"),
         ({"attitude_tau_s": 100.0}, "attitude-sigma-deg"),
     ],

@@ -14,13 +14,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from fluxtwin import load_scenario
-from fluxtwin.calib.checks.calibrated import _misfit_nT
 from fluxtwin.calib.checks.check import check_file, check_telemetry, repair
 from fluxtwin.calib.checks.clock import check_clock, named_shift, shifts_s
 from fluxtwin.calib.checks.evidence import _covariances
 from fluxtwin.calib.checks.orientation import _mountings
 from fluxtwin.calib.checks.outliers import without_gross_outliers
 from fluxtwin.calib.checks.sample import Origin, comparable
+from fluxtwin.calib.checks.unit import _misfit_nT
 from fluxtwin.calib.checks.values import _plane_wander
 from fluxtwin.scenarios.seasat import mission
 from fluxtwin.sim.attitude import record as attitude

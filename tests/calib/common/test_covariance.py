@@ -16,8 +16,8 @@ from scipy.signal import lfilter
 
 from fluxtwin.calib.common.covariance import bread_of, cell_starts, groupings, make_blocks
 from fluxtwin.calib.common.design import Design, assemble
+from fluxtwin.calib.common.options import LinearOptions
 from fluxtwin.calib.linear.calibrate import calibrate_linear, fit_design
-from fluxtwin.calib.linear.method import LinearOptions
 
 pytestmark = pytest.mark.closure
 

@@ -23,7 +23,7 @@ from fluxtwin.calib.common.drivers import _Late, _likeliest, _with_lateness, dis
 from fluxtwin.calib.common.fit import Fit
 from fluxtwin.calib.common.onboard import composed
 from fluxtwin.calib.common.records import Calibration, Onboard, TelemetryBias, seconds_of
-from fluxtwin.calib.linear import driver_fields
+from fluxtwin.calib.linear.calibrate import _products
 from fluxtwin.calib.methods import calibrate_by
 from fluxtwin.calib.scalar.calibrate import _drops
 from fluxtwin.calib.scalar.rows import assemble_scalar
@@ -452,7 +452,7 @@ def test_products_of_columns_are_those_of_generalized_least_squares() -> None:
         C += np.radians(0.1) ** 2 * (field @ field * np.eye(3) - np.outer(field, field))
         X = np.column_stack([share * np.eye(3), reading - field])
         wanted += X.T @ np.linalg.solve(C, X)
-    found = driver_fields._products(fit, design, np.arange(6), [part])
+    found = _products(fit, design, np.arange(6), [part])
     assert found == pytest.approx(wanted, rel=1e-9, abs=1e-12)
 
 

@@ -11,9 +11,9 @@ from scipy.signal import lfilter
 from fluxtwin.calib.common.design import Design
 from fluxtwin.calib.common.error_kernels import whitened_gram
 from fluxtwin.calib.common.error_model import LikelihoodCells, _climb_from, _Likelihood
+from fluxtwin.calib.common.options import LinearOptions
 from fluxtwin.calib.common.shrinkage import widening
 from fluxtwin.calib.linear.calibrate import calibrate_linear, fit_design
-from fluxtwin.calib.linear.method import LinearOptions
 from fluxtwin.calib.methods import calibrate_by
 from fluxtwin.sim.base.errors import BadInput
 

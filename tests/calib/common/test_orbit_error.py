@@ -130,6 +130,6 @@ def test_elements_are_suspect_between_twice_the_noise_and_what_three_sigma_do(
     found_nT: float, suspect_km: float
 ) -> None:
     """Variances: 141.4^2 is twice that of 100 nT; 36 km by 3 * 40,000 / 7000 nT/km of a dipole and the noise are 625 nT."""
-    fit: Any = SimpleNamespace(rejected=0, weights=np.ones(9))
+    fit: Any = SimpleNamespace(rejected=0, kept=np.ones(9, dtype=bool))
     record: Any = SimpleNamespace(provenance={ALONG_TRACK_KM: "12"}, r_N_km=np.array([[7000.0, 0.0, 0.0]] * 9))
     assert _orbit_suspect_km(fit, record, Along(found_nT, 100.0, 100.0, 100.0), 40_000.0) == suspect_km

@@ -117,8 +117,8 @@ def test_random_dipoles_cost_nothing_and_the_sign_of_the_field_is_solved(seasat:
 def test_a_field_that_does_not_vary_along_an_axis(seasat: Any, direction: str) -> None:
     """Reading and reference both still along body Y but for the noise of the reading."""
     from fluxtwin.calib.common.design import Design
+    from fluxtwin.calib.common.options import LinearOptions
     from fluxtwin.calib.linear.calibrate import fit_design
-    from fluxtwin.calib.linear.method import LinearOptions
 
     reference = seasat.field_B_nT.copy()
     reference[:, 1] = 7000.0

@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from fluxtwin.calib.common.covariance import PairedCells, kernel_moments
 from fluxtwin.calib.common.design import Design
 from fluxtwin.calib.common.noise import reading_noise
-from fluxtwin.calib.common.slow_errors import PairedCells, kernel_moments
+from fluxtwin.calib.common.options import LinearOptions
 from fluxtwin.calib.linear.calibrate import calibrate_linear, fit_design
-from fluxtwin.calib.linear.method import LinearOptions
 from fluxtwin.calib.methods import ESTIMATORS, offered
 from fluxtwin.sim.base.errors import NoAnswer
 

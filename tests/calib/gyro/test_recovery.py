@@ -17,7 +17,7 @@ from fluxtwin.calib.common.fit import Fit
 from fluxtwin.calib.common.records import seconds_of
 from fluxtwin.calib.gyro import calibrate
 from fluxtwin.calib.gyro.motion import cut, degree_for, follow
-from fluxtwin.calib.gyro.solve import BASIS_S, drops, fields_without_errors, solve
+from fluxtwin.calib.gyro.solve import BASIS_S, GyroRows, drops, fields_without_errors, solve
 from fluxtwin.sim.base.errors import BadInput, NoAnswer
 from fluxtwin.sim.base.late import late
 from fluxtwin.sim.base.random_streams import stream
@@ -170,16 +170,17 @@ def test_what_the_motion_does_not_show_is_refused() -> None:
 
 @pytest.mark.parametrize("count", [2, 3])
 def test_three_stretches_are_enough(monkeypatch: pytest.MonkeyPatch, count: int) -> None:
-    used = flown(1, rows=20)
-    options: Any = SimpleNamespace(stretch_s=100.0)
+    used = flown(1, rows=20).replace(rate_B_rad_s=np.ones((20, 3)))
+    options: Any = SimpleNamespace(stretch_s=100.0, parameters="b", robust="none")
     monkeypatch.setattr(calibrate, "cut", lambda *_: [np.arange(5)] * count)
     monkeypatch.setattr(calibrate, "_robust", lambda *_: ("solved", "weights"))
     monkeypatch.setattr(calibrate, "_require_no_false_turns", lambda *_: None)
     if count < 3:
         with pytest.raises(NoAnswer, match="fewer than 3 stretches"):
-            calibrate._best(used, np.ones((20, 3)), np.zeros((20, 0)), options)
+            calibrate._best(used, np.zeros((20, 0)), options)
     else:
-        assert calibrate._best(used, np.ones((20, 3)), np.zeros((20, 0)), options) == ("solved", "weights", 100.0)
+        seen, *answer = calibrate._best(used, np.zeros((20, 0)), options)
+        assert (seen.length_s, *answer) == (100.0, "solved", "weights")
 
 
 def test_a_stretch_has_three_rows_more_than_its_polynomial_has_degrees() -> None:
@@ -201,15 +202,16 @@ def test_a_column_lowers_chi_square_by_what_fitting_it_does() -> None:
     """Two fits with the same noises, without and with the column: residual sums of squares are variances by freedoms."""
     record = flown(7000, gyro=0.05, rows=120)
     rate, on = np.asarray(record.rate_B_rad_s), (np.arange(120) // 17 % 2).astype(float)[:, None]
-    cuts, none = cut(record.time, rate, 170.0), np.zeros((120, 0))
-    given = (record.time, record.mag_B_nT + on * [300.0, -200.0, 120.0], rate, cuts, 170.0)
-    rows: Any = {"with_S": True, "weights": np.ones(120), "corrected": False}
-    solved = solve(*given, none, **rows)
-    without = solve(*given, none, start=solved, **rows)
-    beside = solve(*given, on, start=solved._replace(fields_nT=np.zeros((1, 3))), **rows)
+    cuts, none, whole = cut(record.time, rate, 170.0), np.zeros((120, 0)), np.ones(120)
+    reading_nT = record.mag_B_nT + on * [300.0, -200.0, 120.0]
+    rows = GyroRows(record.time, reading_nT, rate, cuts, 170.0, none, True)
+    solved = solve(rows, whole, corrected=False)
+    without = solve(rows, whole, start=solved, corrected=False)
+    start = solved._replace(fields_nT=np.zeros((1, 3)))
+    beside = solve(rows._replace(columns=on), whole, start=start, corrected=False)
     freedom = 3 * 120 - 3 * (degree_for(170.0) + 1) * len(cuts) - 14
     lowered = without.variance_nT2 * freedom - beside.variance_nT2 * (freedom - 3)
-    found = drops(*given, none, solved, np.ones(120, dtype=bool), none, on)
+    found = drops(rows, solved, np.ones(120, dtype=bool), none, on)
     assert found == pytest.approx([lowered / solved.variance_nT2], rel=1e-6)
 
 
@@ -232,9 +234,9 @@ def test_the_gyro_is_integrated_to_fourth_order() -> None:
         true = (R_BN[int(rows[-1])] * R_BN[0].inv()).as_matrix()
         errors.append(float(np.abs(one.R[-1] - true).max()))
     field = R_BN.apply([2e4, -1e4, 3e4])
-    found = fields_without_errors(
-        record.time, field, record.rate_B_rad_s, [np.arange(0, 161, 2), np.arange(1, 161, 2)], 150.0, np.ones(161)
-    )
+    cuts, none = [np.arange(0, 161, 2), np.arange(1, 161, 2)], np.zeros((161, 0))
+    rows_of_all = GyroRows(record.time, field, record.rate_B_rad_s, cuts, 150.0, none, False)
+    found = fields_without_errors(rows_of_all, np.ones(161))
     assert np.abs(found - np.concatenate([field[::2], field[1::2]])).max() < 10.0  # of 37,000 nT
     assert errors[1] < 1e-4 and 8.0 < errors[0] / errors[1] < 32.0
 
@@ -244,10 +246,10 @@ def test_a_field_as_strong_as_the_earths_that_follows_a_column_changes_nothing_b
     record = flown(7003, S=np.zeros((3, 3)), rows=150)
     wave = np.sin(0.3 * np.arange(len(record)))[:, None]
     reading_nT, rate = np.array(record.mag_B_nT), np.array(record.rate_B_rad_s)
-    given = (rate, [np.arange(k, k + 50) for k in (0, 50, 100)], 200.0, wave)
+    given = (rate, [np.arange(k, k + 50) for k in (0, 50, 100)], 200.0, wave, False)
     strong_nT = np.array([20000.0, -25000.0, 15000.0])
     bare, driven = (
-        solve(record.time, nT, *given, with_S=False, weights=np.ones(len(record)), corrected=False)
+        solve(GyroRows(record.time, nT, *given), np.ones(len(record)), corrected=False)
         for nT in (reading_nT, reading_nT + wave * strong_nT)
     )
     assert driven.fields_nT - bare.fields_nT == pytest.approx(strong_nT[None], rel=1e-4)

@@ -19,8 +19,8 @@ from scipy.stats import binom
 
 from fluxtwin.calib.common.design import assemble
 from fluxtwin.calib.common.noise import ReadingNoise
+from fluxtwin.calib.common.options import LinearOptions
 from fluxtwin.calib.linear.calibrate import _shortening, calibrate_linear, fit_design
-from fluxtwin.calib.linear.method import LinearOptions
 from fluxtwin.calib.linear.problem import LinearProblem
 
 pytestmark = pytest.mark.closure

@@ -20,8 +20,7 @@ from hypothesis.extra.numpy import arrays
 import fluxtwin
 from fluxtwin.calib.common.conventions import OffsetFirst, correction_from_offset_first, offset_first_from_correction
 from fluxtwin.calib.common.records import Calibration, TelemetryBias
-from fluxtwin.calib.onboard.export import FIELDS_NT, export_calibration
-from fluxtwin.calib.onboard.targets import NAMES, TARGETS
+from fluxtwin.calib.onboard.export import FIELDS_NT, NAMES, TARGETS, export_calibration
 from fluxtwin.flight_software import as_onboard
 from fluxtwin.sim.base.errors import BadInput
 

@@ -17,8 +17,7 @@ from scipy.optimize._numdiff import approx_derivative
 
 from fluxtwin.calib.common.conventions import PAIRS
 from fluxtwin.calib.scalar.calibrate import calibrate_scalar
-from fluxtwin.calib.scalar.maximum_likelihood import solve
-from fluxtwin.calib.scalar.model import ScalarData, pack, unpack
+from fluxtwin.calib.scalar.model import ScalarData, pack, solve, unpack
 from fluxtwin.calib.scalar.twostep import Twostep, center, moments_of, twostep
 from fluxtwin.sim.base.errors import NoAnswer
 from fluxtwin.sim.earth.field import load_field

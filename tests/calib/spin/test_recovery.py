@@ -283,7 +283,6 @@ def test_a_sun_along_the_axis_is_refused(rows: SpinRows) -> None:
     [
         ({"parameters": "b"}, "b,S with method batch"),
         ({"robust": "huber"}, "tukey or none"),
-        ({"telemetry_bias": ["array_current_A"]}, "method scalar"),
         ({"sun_sigma_deg": -1.0}, "sun_sigma_deg"),
         ({"inertia_ratio": 2.5}, "inertia_ratio"),
         ({"covariance": "pink"}, "covariance"),

@@ -14,8 +14,8 @@ from scipy.spatial.transform import Rotation
 from fluxtwin.calib.attitude.yaw import average_yaw
 from fluxtwin.calib.common.pair import compare
 from fluxtwin.calib.common.records import Calibration
+from fluxtwin.calib.onboard.export import find_target
 from fluxtwin.calib.onboard.own import _held
-from fluxtwin.calib.onboard.targets import find_target
 from fluxtwin.gap.fleet import fleet
 from fluxtwin.sim.attitude import record
 from fluxtwin.sim.base.errors import BadInput, FluxtwinError

@@ -13,8 +13,8 @@ from command_line import Cli
 from worlds import scenario_text
 
 import fluxtwin
+from fluxtwin.calib.common.comparison import _WHY_NOT, compare
 from fluxtwin.calib.common.residuals import predict
-from fluxtwin.calib.comparing import _WHY_NOT, compare
 from fluxtwin.calib.methods import ESTIMATORS
 from fluxtwin.sim.base.errors import BadInput, NoAnswer
 from fluxtwin.sim.earth.field import FieldModel, load_field

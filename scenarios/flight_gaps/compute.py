@@ -16,12 +16,11 @@ from fluxtwin.scenarios.flight_field.tracks import read_kp, read_magsat, read_sw
 from fluxtwin.scenarios.flight_gaps import records
 from fluxtwin.scenarios.flight_gaps.least_squares import LeastSquares, Shares, alone, coefficients, visible_nT
 from fluxtwin.scenarios.flight_gaps.records import field_model
-from fluxtwin.scenarios.flights import Numbers, rms
+from fluxtwin.scenarios.flights import Numbers, latitude_deg, rms
 from fluxtwin.scenarios.recorded_files import Settings
 from fluxtwin.sim.base.progress import Progress, part_of
 from fluxtwin.sim.base.toml_input import Strict, read_model
 from fluxtwin.sim.base.types import BoolArray, FloatArray
-from fluxtwin.sim.earth import frames
 from fluxtwin.sim.earth.field_models import FieldModel
 from fluxtwin.sim.effects.ambient_field import FieldTruncation
 from fluxtwin.sim.effects.base import SignalEffect
@@ -214,7 +213,7 @@ def _answer(case: Case, folder: Path, settings: Settings, progress: Progress) ->
 
     found = diagnose(telemetry, model, modelled=case.modelled, progress=titled)
     filled = np.any(np.abs(telemetry.mag_B_nT) > _MISSING_NT, axis=1)
-    return Answer(case, found, _latitude_deg(telemetry), filled)
+    return Answer(case, found, latitude_deg(telemetry), filled)
 
 
 def _effects(*names: str) -> tuple[SignalEffect, ...]:
@@ -261,24 +260,15 @@ def _magsat_tables(folder: Path, settings: Settings) -> Mapping[str, Shares]:
 def _left(telemetry: Telemetry, model: FieldModel) -> Numbers:
     """What a model with b and S fitted leaves."""
     remaining_nT, _ = LeastSquares(telemetry, model, DEFAULT_MODELLED).remaining_nT()
-    latitude_deg, residual_nT = _latitude_deg(telemetry), remaining_nT.reshape(-1, 3)
-    bands = [(low, high, _between(latitude_deg, low, high)) for low, high in itertools.pairwise(BANDS_DEG)]
+    along_deg, residual_nT = latitude_deg(telemetry), remaining_nT.reshape(-1, 3)
+    bands = [
+        (low, high, (np.abs(along_deg) >= low) & (np.abs(along_deg) < high))
+        for low, high in itertools.pairwise(BANDS_DEG)
+    ]
     return Numbers(
         # (N,) geocentric, and (N, 3).
-        latitude_deg=latitude_deg,
+        latitude_deg=along_deg,
         residual_nT=residual_nT,
         # Latitudes from and to, rows, rms per component [nT], either hemisphere.
         bands=[(low, high, int(rows.sum()), rms(residual_nT[rows])) for low, high, rows in bands if rows.any()],
     )
-
-
-def _between(latitude_deg: FloatArray, low: float, high: float) -> BoolArray:
-    return np.asarray((np.abs(latitude_deg) >= low) & (np.abs(latitude_deg) < high))
-
-
-def _latitude_deg(telemetry: Telemetry) -> FloatArray:
-    """(N,) geocentric latitude of the rows."""
-    assert telemetry.r_N_km is not None
-    r_E_km = frames.rotation_EN(telemetry.time).apply(np.array(telemetry.r_N_km))
-    latitude: FloatArray = np.degrees(frames.geocentric(r_E_km)[0])
-    return latitude

@@ -14,6 +14,7 @@ from fluxtwin.gap.channels.sun_nadir import open_channel
 from fluxtwin.gap.records.diagnosis import Diagnosis, EffectParameter
 from fluxtwin.gap.report.words import located
 from fluxtwin.scenarios.flights import (
+    ATTITUDES,
     NAMES,
     Numbers,
     calibration_summary,
@@ -38,7 +39,6 @@ from fluxtwin.scenarios.hcmm_orbit.fit import fit_orbit
 from fluxtwin.scenarios.hcmm_orbit.predictions import run_flight_test, weigh_ideas, windows_of
 from fluxtwin.scenarios.hcmm_orbit.record import Range, read_passes
 from fluxtwin.scenarios.page import Page, StudyResult
-from fluxtwin.scenarios.registry import ATTITUDES
 from fluxtwin.scenarios.words import Words, motion_table
 from fluxtwin.sim.base.progress import Progress, part_of, silent
 from fluxtwin.sim.base.types import FloatArray

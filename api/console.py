@@ -218,8 +218,6 @@ class _LiveProgress:
         self._words, self._fraction = words, 0.0
         self._bar: Any = None
         self._task: Any = None
-        self._stopped = False
-        self._lock = threading.Lock()
         self._timer = threading.Timer(_QUIET_SECONDS, self._start)
         self._timer.daemon = True
         self._timer.start()
@@ -227,34 +225,29 @@ class _LiveProgress:
     def _start(self) -> None:
         from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-        with self._lock:
-            if self._stopped:
-                return
-            self._bar = Progress(
-                SpinnerColumn(),
-                TextColumn("{task.description}", markup=False),
-                BarColumn(),
-                TimeElapsedColumn(),
-                console=_console(stderr=True),
-                transient=True,
-            )
-            self._task = self._bar.add_task(clean(self._words), total=None)
-            self._bar.start()
+        bar = Progress(
+            SpinnerColumn(),
+            TextColumn("{task.description}", markup=False),
+            BarColumn(),
+            TimeElapsedColumn(),
+            console=_console(stderr=True),
+            transient=True,
+        )
+        self._task, self._bar = bar.add_task(clean(self._words), total=None), bar
+        bar.start()
         self.update(self._words, self._fraction)
 
     def update(self, words: str, fraction: float) -> None:
-        with self._lock:
-            self._words, self._fraction = words, fraction
-            if self._bar is not None:
-                total = 1.0 if fraction > 0 else None
-                self._bar.update(self._task, description=clean(words), completed=fraction, total=total)
+        self._words, self._fraction = words, fraction
+        if self._bar is not None:
+            total = 1.0 if fraction > 0 else None
+            self._bar.update(self._task, description=clean(words), completed=fraction, total=total)
 
     def stop(self) -> None:
-        with self._lock:
-            self._stopped = True
-            self._timer.cancel()
-            if self._bar is not None:
-                self._bar.stop()
+        self._timer.cancel()
+        self._timer.join()  # a bar that is just being started is there then
+        if self._bar is not None:
+            self._bar.stop()
 
 
 def _console(*, stderr: bool = False) -> Console:

@@ -208,8 +208,6 @@ def plan(
     allowed = limits_of(limits)
     config = None if scenario is None else as_scenario(scenario)
     if tuple(names) == ("calibration",):
-        from fluxtwin.planning import plan_calibration
-
         if isinstance(telemetry, Diagnosis) or (isinstance(telemetry, Path | str) and str(telemetry).endswith(".json")):
             raise BadInput("a diagnosis has no readings to calibrate", where="plan", wanted="telemetry")
         record = as_record(telemetry, **reading)

@@ -156,17 +156,8 @@ def _parts() -> tuple[Template, str, str]:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    filters: dict[str, Any] = {
-        "shown": shown,
-        "clean": clean,
-        "whole": _whole,
-        "command": _command,
-        "titled": _titled,
-        "drawn": _shown,
-    }
-    filters["broad"] = _broad
-    filters["download"] = _download
-    environment.filters.update(filters)
+    filters: dict[str, Any] = {"shown": shown, "clean": clean, "whole": _whole, "command": _command}
+    environment.filters |= {**filters, "titled": _titled, "drawn": _shown, "broad": _broad, "download": _download}
     environment.tests["numeric"] = is_number
     style, script = ((files("fluxtwin") / "templates" / f"report.{end}").read_text("utf-8") for end in ("css", "js"))
     return environment.get_template("report.html"), style, script

@@ -75,7 +75,7 @@ def groups(labels: Sequence[str], series: Mapping[str, Sequence[float]], quantit
     axes.set_xticks(places, list(labels))
     style.zero_line(axes)
     style.label(axes, y=quantity, title=title)
-    figure.legend(loc="outside lower center", ncols=len(series), fontsize=style.NOTE_PT, frameon=False)
+    style.legend_below(figure, axes, columns=len(series), frame=False)
     return figure
 
 

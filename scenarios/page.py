@@ -53,8 +53,8 @@ class FigureBlock:
     name: str
     """File name without suffix, as `figure_2`."""
     caption: str
-    figure: Figure | bytes | TimeSeries
-    """A matplotlib Figure, the bytes of a PNG file, or series, which the page's script can zoom."""
+    figure: Figure | TimeSeries
+    """A matplotlib Figure, or series, which the page's script can zoom."""
 
 
 @dataclass(frozen=True)

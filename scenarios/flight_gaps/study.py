@@ -12,8 +12,7 @@ from fluxtwin.calib.common.digits import plain
 from fluxtwin.gap.law.words import made_of
 from fluxtwin.gap.records.diagnosis import Diagnosis
 from fluxtwin.gap.report.words import at_the_end
-from fluxtwin.scenarios.flight_gaps.compute import STORM_NT, Answer, Outcome, compute, names_of
-from fluxtwin.scenarios.flight_gaps.least_squares import Share
+from fluxtwin.scenarios.flight_gaps.compute import STORM_NT, Answer, Outcome, Share, compute, names_of
 from fluxtwin.scenarios.page import Cell, StudyResult
 from fluxtwin.scenarios.recorded_files import Settings, run_on_files
 from fluxtwin.scenarios.words import Words

@@ -18,7 +18,7 @@ from fluxtwin.gap.report.words import at_the_end
 from fluxtwin.report import png_bytes
 from fluxtwin.scenarios.flight_field.tracks import read_magsat
 from fluxtwin.scenarios.flight_gaps import compute, records, study
-from fluxtwin.scenarios.flight_gaps.least_squares import alone, coefficients, visible_nT
+from fluxtwin.scenarios.flight_gaps.compute import alone, coefficients, visible_nT
 from fluxtwin.scenarios.recorded_files import Settings, check_folder, numbers, opened, read_settings
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.files import to_json

@@ -16,7 +16,7 @@ from fluxtwin.calib.common.records import Calibration
 from fluxtwin.calib.spin.calibrate import fit_spin
 from fluxtwin.calib.spin.rows import assemble_spin
 from fluxtwin.calib.spin.start import blind_start
-from fluxtwin.plots.spin_attitude import draw_attitude_error
+from fluxtwin.plots.spinners import draw_attitude_error
 from fluxtwin.scenarios.flights import Numbers
 from fluxtwin.scenarios.st5 import mission, study
 from fluxtwin.scenarios.st5.calibration import filtered, options, settings

@@ -187,7 +187,6 @@ def _coverage(fit: Fit) -> list[PageSection]:
 
 
 def _bias_tables(calibration: Calibration) -> list[Table]:
-    """Fields that follow a column."""
     rows, late = [], []
     for name, one in calibration.to_dict().get("telemetry_bias", {}).items():
         how = [f"{plain(one['delay_s'])} s later"] if "delay_s" in one else []

@@ -211,19 +211,10 @@ def _kept(plan: Plan, folder: Path, number: int) -> list[Run] | None:
     return rows if same and [row.get("run") for row in rows] == list(plan.members(number)) else None
 
 
-def whole_parts(folder: Path | str) -> int:
-    """How many parts lie in a folder."""
-    return len(list(Path(folder).glob("part-*.json")))
-
-
 def _words(seconds: float) -> str:
-    return (
-        f"{seconds:.0f} s"
-        if seconds < 90
-        else f"{seconds / 60:.0f} min"
-        if seconds < 5400
-        else f"{seconds / 3600:.1f} h"
-    )
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
 
 
 def _write_table(runs: Sequence[Run], path: Path) -> None:

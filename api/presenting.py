@@ -27,7 +27,7 @@ from fluxtwin.gap.records.diagnosis import Diagnosis
 from fluxtwin.gap.records.plan import CalibrationPlan, Plan
 from fluxtwin.plots import on_axes
 from fluxtwin.plots.plan import power_on, sigma_on
-from fluxtwin.scenarios.page import StudyResult, Table
+from fluxtwin.scenarios.page import StudyResult, Table, with_rows
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.run.ensemble.run import Ensemble
@@ -101,8 +101,7 @@ def _plan(found: Plan | CalibrationPlan) -> Presented:
 
 
 def _check(found: CheckReport) -> Presented:
-    table = check_page.findings_table(found)
-    return Presented([check_page.verdict(found)], [table] if table.rows else [])
+    return Presented([check_page.verdict(found)], with_rows(check_page.findings_table(found)))
 
 
 def _inventory(found: describing.Inventory) -> Presented:
@@ -218,11 +217,8 @@ def _export(made: Export) -> Presented:
 def _draw_ensemble(axes: Axes, flown: Ensemble) -> Axes:
     if flown.envelope is None:
         raise BadInput("its vehicles have no pointing to draw", where="plot", wanted="a scenario that points")
-    around, title = flown.envelope, "Pointing error over the vehicles"
-    size_deg, names = (
-        np.stack([around.median_deg, around.p95_deg, around.max_deg], axis=1),
-        ("median", "95 %", "largest"),
-    )
+    around, title, names = flown.envelope, "Pointing error over the vehicles", ("median", "95 %", "largest")
+    size_deg = np.stack([around.median_deg, around.p95_deg, around.max_deg], axis=1)
     return on_axes.components(axes, around.time, size_deg, y="pointing error [deg]", title=title, names=names)
 
 

@@ -14,10 +14,10 @@ from pathlib import Path
 import fluxtwin
 from fluxtwin.notebook import usual
 from fluxtwin.outputs import JSON_MARK
-from fluxtwin.report import png_bytes, write_page
+from fluxtwin.report import write_figures, write_page
 from fluxtwin.scenarios.page import StudyResult
 from fluxtwin.sim.base.errors import BadInput, nearest
-from fluxtwin.sim.base.files import writable_folder, write_bytes, write_json
+from fluxtwin.sim.base.files import writable_folder, write_json
 from fluxtwin.sim.base.progress import Progress, part_of
 from fluxtwin.sim.base.seals import sealed_json
 
@@ -61,8 +61,7 @@ def run_study(
         ]
         for stem, page in {**pages, **result.more_pages}.items():
             prefix = "" if stem == "report" else f"{stem}_"
-            blocks = [block for section in page.sections for block in section.figures]
-            written += [write_bytes(folder / f"{prefix}{block.name}.png", png_bytes(block.figure)) for block in blocks]
+            written += write_figures(page, folder, prefix)
             written.append(write_page(page, folder / f"{stem}.html", shlex.join(again)))
         return result, [*result.written, *written]
     except BaseException:  # an interrupt too

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from fluxtwin.commands import options as of
-from fluxtwin.commands.reading import read
 from fluxtwin.console import Output
 
 if TYPE_CHECKING:
@@ -84,7 +83,7 @@ def command(
         if close is not None and scenario is None and not reading.whole:
             wanted = "a file of these rows alone (fluxtwin convert), or --scenario"
             raise BadInput("the scenario would replay the whole file", where="--close", wanted=wanted)
-        record = read(telemetry[0], output, reading)
+        record = of.read(telemetry[0], output, reading)
         diagnosis = diagnosing.diagnose(record, scenario=scenario, progress=progress, **asked)
         scene = None
         if close is not None:
@@ -146,7 +145,7 @@ def _several(
     with output.progress(f"reading {telemetry[0]}") as progress:
         from fluxtwin import diagnosis_page, fleets
 
-        records = {str(path): read(path, output, reading, one_of_many=True) for path in telemetry}
+        records = {str(path): of.read(path, output, reading, one_of_many=True) for path in telemetry}
         found = fleets.diagnoses(records, asked, progress=progress, **workers._asdict())
     for name, diagnosis in found.items():
         for note in diagnosis.notes:
@@ -164,7 +163,7 @@ def _fleet(
     with output.progress(f"reading {telemetry[0]}") as progress:
         from fluxtwin import fleets
 
-        records = {str(path): read(path, output, reading, one_of_many=True) for path in telemetry}
+        records = {str(path): of.read(path, output, reading, one_of_many=True) for path in telemetry}
         found = fleets.fleet(records, progress=progress, **asked, **workers._asdict())
     for line in found.lines:
         output.prose(line)

@@ -209,8 +209,7 @@ def compare(
             begin = start(own, len(lags_s), settings.phase_degree)
             fitted.append((lags_s, rows, fit_joint(rows, begin, free)))
         best = min(fitted, key=lambda one: one[2].whole_nT)
-        folds = [_fold(fitted, free, left_out) for left_out in range(len(own))]
-        unseen_nT, fold_lags_s = zip(*folds, strict=True)
+        unseen_nT, unseen = zip(*(_fold(flight, fitted, free, left_out) for left_out in range(len(own))), strict=True)
         way = Numbers(
             # A model of what follows sun and shadow, with the lags it may choose from.
             name=name,
@@ -219,38 +218,30 @@ def compare(
             # Fitted to all zones, and the lags chosen with them.
             within=best[2],
             lags_s=best[0],
-            # Each zone fitted without it, rms length of the residual vector, with the lags chosen without it; rms over them.
+            # Each zone by a sensor and lags found without it: rms length of the residual; minutes, and the residual (N, 3);
+            # rms over the zones.
             unseen_nT=unseen_nT,
-            fold_lags_s=fold_lags_s,
+            unseen=unseen,
             unseen_whole_nT=np.sqrt(np.mean(np.square(unseen_nT))),
         )
         ways.append(way)
     return tuple(ways)
 
 
-def _fold(fitted: Sequence[tuple[Lags, list[Rows], Joint]], free: tuple[str, ...], left_out: int) -> tuple[float, Lags]:
+def _fold(
+    flight: Flight, fitted: Sequence[tuple[Lags, list[Rows], Joint]], free: tuple[str, ...], left_out: int
+) -> tuple[float, tuple[FloatArray, FloatArray]]:
     """The lags are chosen without the zone too; the other zones' phases start where they are with it."""
     trained = []
-    for lags_s, rows, whole in fitted:
+    for _, rows, whole in fitted:
         rest = [number for number in range(len(rows)) if number != left_out]
         begin = (whole.sensor, [whole.phases[number] for number in rest])
         joint = fit_joint([rows[number] for number in rest], begin, free)
-        trained.append((joint, lags_s, rows[left_out], whole.phases[left_out]))
-    joint, lags_s, unseen, phase = min(trained, key=lambda one: one[0].whole_nT)
-    return seen_by(joint.sensor, unseen, phase).rms_nT[0], lags_s
-
-
-def residuals_nT(
-    flight: Flight, own: Sequence[ZoneFit], way: Numbers, left_out: int, settings: Settings
-) -> tuple[FloatArray, FloatArray]:
-    """Minutes and residual (N, 3) of a zone by the sensor fitted to the others, for a figure."""
-    lags_s = way.fold_lags_s[left_out]
-    rows = rows_of(flight, own, lags_s, settings.every)
-    sensor, phases = start(own, len(lags_s), settings.phase_degree)
-    one, phase = rows.pop(left_out), phases.pop(left_out)
-    seen = seen_by(fit_joint(rows, (sensor, phases), way.free).sensor, one, phase)
-    half_s = 0.5 * float(np.ptp(flight.zones[left_out].seconds))
-    return half_s * (1.0 + one.share) / 60.0, one.reading_nT - seen.sensor.reading_nT(one, seen.phases[0])
+        trained.append((joint, rows[left_out], whole.phases[left_out]))
+    joint, one, phase = min(trained, key=lambda one: one[0].whole_nT)
+    seen = seen_by(joint.sensor, one, phase)
+    minutes = np.ptp(flight.zones[left_out].seconds) * (1.0 + one.share) / 120.0
+    return seen.rms_nT[0], (minutes, one.reading_nT - seen.sensor.reading_nT(one, seen.phases[0]))
 
 
 def record_of(flight: Flight, own: Sequence[ZoneFit], lags_s: Sequence[float], settings: Settings) -> Telemetry:

@@ -15,11 +15,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.polynomial.polynomial import polyval
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from fluxtwin.scenarios.elfin.record import Flight
-from fluxtwin.scenarios.elfin.zone_fit import ZoneFit, powers, rms, turning
+from fluxtwin.scenarios.elfin.zone_fit import ZoneFit, rms, turning
 from fluxtwin.scenarios.flights import Numbers
 from fluxtwin.scenarios.recorded_files import Settings
 from fluxtwin.sim.base.progress import Progress, silent
@@ -81,7 +82,7 @@ class Sensor:
 
     def in_body_nT(self, rows: Rows, phase: FloatArray) -> FloatArray:
         """(N, 3) field as the turned sensor sees it, body axes."""
-        u = turning(rows.field_S_nT, rows.base_rad + powers(rows.share, phase.size) @ phase)
+        u = turning(rows.field_S_nT, rows.base_rad + polyval(rows.share, phase))
         seen = np.stack([u.real, u.imag, rows.field_S_nT[:, 2]], axis=1)
         if not self.turn_rad.any():
             return seen
@@ -259,7 +260,7 @@ def record_of(flight: Flight, own: Sequence[ZoneFit], lags_s: Sequence[float], s
         rows = np.flatnonzero(zone.used)[::_RECORD_EVERY]
         assert zone.telemetry.r_N_km is not None
         position = np.asarray(zone.telemetry.r_N_km)
-        angle = fit.rate_rad_s * zone.late_s + powers(zone.share, phase.size) @ phase
+        angle = fit.rate_rad_s * zone.late_s + polyval(zone.share, phase)
         R_BN = Rotation.from_rotvec(np.outer(-angle, [0.0, 0.0, 1.0])) * Rotation.from_matrix(zone.spin_N)
         recorded: dict[str, Any] = {
             "time": zone.telemetry.time[rows],

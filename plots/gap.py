@@ -103,9 +103,9 @@ def _means(time: TimeArray, values: FloatArray) -> FloatArray:
 def _bands(frequency: FloatArray, amplitude: FloatArray) -> tuple[FloatArray, FloatArray]:
     """rms in even bands of log frequency: a spectrum of noise is a band of spikes, its level is what matters."""
     edges = np.geomspace(frequency[0], frequency[-1] * 1.0001, _BANDS + 1)
-    place, power = binned_statistic(frequency, [frequency, amplitude**2], "mean", edges).statistic
+    place, power = np.asarray(binned_statistic(frequency, [frequency, amplitude**2], "mean", edges).statistic)
     filled = np.isfinite(place)
-    return np.asarray(place[filled]), np.asarray(np.sqrt(power[filled]))
+    return place[filled], np.sqrt(power[filled])
 
 
 def _spectrum(seconds: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -165,8 +165,12 @@ def search(
     def nearest(misfit: Callable[[Numbers], FloatArray]) -> Numbers:
         best = min(grid, key=lambda setting: float(np.sum(misfit(setting) ** 2)))
         begin = 1.0 + (np.log([best.walk_rad_s, best.sun_factor]) - low) / (high - low)
+
+        def off(place: FloatArray) -> FloatArray:
+            return misfit(at(place))
+
         found = least_squares(
-            lambda place: misfit(at(place)),
+            off,
             np.clip(begin, 1.0, 2.0),
             bounds=(1.0, 2.0),
             diff_step=[_STEP, _STEP],

@@ -169,9 +169,9 @@ class Output:
         for one in tables:
             self.table(one.title, one.columns, one.rows, one.note)
 
-    def files(self, written: Iterable[Path | str], lead: str = "  ") -> None:
-        """A line for each file that was written."""
-        for path in written:
+    def files(self, written: Iterable[Path | str | None], lead: str = "  ") -> None:
+        """A line for each file that was written; None is none."""
+        for path in filter(None, written):
             self.say(f"{lead}{path}")
 
     def result(self, record: Mapping[str, Any]) -> None:

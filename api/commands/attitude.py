@@ -75,7 +75,7 @@ def command(
     )
     for reason, count in found.left_out.items():
         output.say(f"- {count} rows left out: {reason}")
-    output.files([] if out is None else [out])
+    output.files([out])
     output.result({**columns, "written": [] if out is None else [str(out)]})
     if not found.holds:
         raise typer.Exit(1)

@@ -68,7 +68,7 @@ def command(
     if mended is not None and after is not None:
         _print(output, f"{repair}: {after.samples} rows, repaired", after)
         record |= {"repair": mended.to_dict(), "repaired": after.to_dict(), "written": [str(repair)]}
-    output.files([] if html is None else [html])
+    output.files([html])
     output.result(record)
     raise typer.Exit(found.exit_status)
 

@@ -196,6 +196,6 @@ def _say(output: Output, diagnosis: Diagnosis, html: Path | None, close: Path | 
         output.prose(line)
     output.say()
     output.tables(diagnosis_page.tables(diagnosis))
-    output.files([path for path in (html, close if closed else None) if path is not None], "written: ")
+    output.files([html, close if closed else None], "written: ")
     if closed and close is not None:
         output.prose(f"Next: {diagnosis_page.CORRECT.replace('CLOSED.toml', str(close))}")

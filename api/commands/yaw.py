@@ -52,5 +52,5 @@ def command(
     for line in seen.sentences:
         output.say(line)
     output.tables(seen.tables)
-    output.files([] if out is None else [out])
+    output.files([out])
     output.result({"summary": solution.summary, **solution.to_dict()})

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.polynomial.polynomial import polyval
@@ -27,7 +26,7 @@ from fluxtwin.sim.base.progress import Progress, silent
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import frames
 from fluxtwin.sim.effects.drivers import STANDARD_SWING_K
-from fluxtwin.sim.telemetry.record import Telemetry
+from fluxtwin.sim.telemetry.record import Telemetry, concatenate
 
 _RECORD_EVERY = 11
 _BIAS_UNIT_NT = 1e3
@@ -255,23 +254,21 @@ def record_of(flight: Flight, own: Sequence[ZoneFit], lags_s: Sequence[float], s
     """
     static = fit_joint(rows_of(flight, own, (), settings.every), start(own, 0, settings.phase_degree), ())
     inverse = np.linalg.inv(static.sensor.matrix)
-    parts: dict[str, list[Any]] = {}
+    parts = []
     for zone, fit, phase in zip(flight.zones, own, static.phases, strict=True):
         rows = np.flatnonzero(zone.used)[::_RECORD_EVERY]
         assert zone.telemetry.r_N_km is not None
         position = np.asarray(zone.telemetry.r_N_km)
         angle = fit.rate_rad_s * zone.late_s + polyval(zone.share, phase)
         R_BN = Rotation.from_rotvec(np.outer(-angle, [0.0, 0.0, 1.0])) * Rotation.from_matrix(zone.spin_N)
-        recorded: dict[str, Any] = {
-            "time": zone.telemetry.time[rows],
-            "mag_B_nT": (zone.reading_nT[rows] - static.sensor.offset_nT) @ inverse.T,
-            "r_N_km": position[rows],
-            "v_N_km_s": np.gradient(position, zone.seconds, axis=0)[rows],
-            "q_NB": frames.q_from_rotation(R_BN[rows]),
-            "temperature_degC": STANDARD_SWING_K * flight.day.lagged(zone.seconds[rows], *lags_s),
-            "sunlit": (zone.lit[rows] > 0.5).astype(np.float64),
-        }
-        for name, value in recorded.items():
-            parts.setdefault(name, []).append(value)
-    whole: dict[str, Any] = {name: np.concatenate(values) for name, values in parts.items()}
-    return Telemetry(**whole)
+        record = Telemetry(
+            time=zone.telemetry.time[rows],
+            mag_B_nT=(zone.reading_nT[rows] - static.sensor.offset_nT) @ inverse.T,
+            r_N_km=position[rows],
+            v_N_km_s=np.gradient(position, zone.seconds, axis=0)[rows],
+            q_NB=frames.q_from_rotation(R_BN[rows]),
+            temperature_degC=STANDARD_SWING_K * flight.day.lagged(zone.seconds[rows], *lags_s),
+            sunlit=(zone.lit[rows] > 0.5).astype(np.float64),
+        )
+        parts.append(record)
+    return concatenate(parts)

@@ -209,10 +209,6 @@ class PassAngles:
     """(P, M) geocentric."""
     longitude_deg: FloatArray
 
-    def range_of(self, name: str) -> FloatArray:
-        """(P, 2) lowest and highest of `sun_field_deg`, `nadir_field_deg`, ..."""
-        return ends_of(getattr(self, name))
-
 
 def ends_of(values: FloatArray) -> FloatArray:
     """(P, 2) lowest and highest of values (P, M)."""

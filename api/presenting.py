@@ -151,15 +151,10 @@ def _attitude(found: AttitudeSolution) -> Presented:
 def _sizes(found: AttitudeSolution) -> str:
     """The errors that matter; one far below its neighbour is not determined by the data."""
     n, parts = found.noises, []
+    other, drift_deg = "reference" if "reference" in found.source else "nadir", np.degrees(n.drift_rad)
     for name, white, slow, slow_s, unit in (
         ("field", n.field_nT, n.slow_nT, n.slow_s, "nT"),
-        (
-            "reference" if "reference" in found.source else "nadir",
-            np.degrees(n.white_rad),
-            np.degrees(n.drift_rad),
-            n.drift_s,
-            "deg",
-        ),
+        (other, np.degrees(n.white_rad), drift_deg, n.drift_s, "deg"),
     ):
         if name == "field" or "attitude" in found.nis:
             size = [f"{plain(white, 2)} {unit} white"] if white > 0.1 * slow else []

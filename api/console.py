@@ -81,9 +81,11 @@ def shown(value: object) -> str:
     return clean(str(value))
 
 
-def wrapped(text: str, width: int = 80) -> str:
-    """`text` in lines of at most `width`, where its words allow it: paths and long names stay whole."""
-    return textwrap.fill(text, width, break_long_words=False, break_on_hyphens=False) if len(text) > width else text
+def wrapped(text: str, width: int = 80, indent: str = "") -> str:
+    """`text` in lines of at most `width`, later ones behind `indent`, where its words allow it: long names stay whole."""
+    if len(text) <= width:
+        return text
+    return textwrap.fill(text, width, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
 
 
 def without_nan(value: Any) -> Any:
@@ -124,8 +126,7 @@ class Output:
     def prose(self, text: str, *, indent: str = "") -> None:
         """Sentences of a result: on a terminal they are broken between words, later lines behind `indent`."""
         if self.talks and sys.stdout.isatty():
-            width = shutil.get_terminal_size().columns
-            text = textwrap.fill(text, width, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
+            text = wrapped(text, shutil.get_terminal_size().columns, indent)
         self.say(text)
 
     def note(self, text: str) -> None:

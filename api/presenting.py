@@ -25,7 +25,7 @@ from fluxtwin.following import Followed
 from fluxtwin.gap.fleet import Fleet
 from fluxtwin.gap.records.diagnosis import Diagnosis
 from fluxtwin.gap.records.plan import CalibrationPlan, Plan
-from fluxtwin.plots import on_axes
+from fluxtwin.plots import on_axes, style
 from fluxtwin.plots.plan import power_on, sigma_on
 from fluxtwin.scenarios.page import StudyResult, Table, with_rows
 from fluxtwin.sim.base.errors import BadInput
@@ -63,7 +63,9 @@ def plot(result: object, axes: Axes | None = None) -> Axes:
     """One picture of the result in `axes` or new ones. Raises BadInput where there is nothing to draw."""
     if not isinstance(result, tuple(_PICTURES)) or (isinstance(result, Telemetry) and not result.has_reading.any()):
         raise BadInput(f"there is nothing to draw in this {type(result).__name__}", where="plot")
-    drawn: Axes = _of(result, _PICTURES)(on_axes.new_axes() if axes is None else axes, result)
+    if axes is None:
+        _, ((axes,),) = style.figure(style.FULL_WIDTH_IN, 3.0)
+    drawn: Axes = _of(result, _PICTURES)(axes, result)
     return drawn
 
 

@@ -123,11 +123,11 @@ class Output:
         self.say(text)
         sys.stdout.flush()
 
-    def prose(self, text: str, *, indent: str = "") -> None:
+    def prose(self, *texts: str, indent: str = "") -> None:
         """Sentences of a result: on a terminal they are broken between words, later lines behind `indent`."""
-        if self.talks and sys.stdout.isatty():
-            text = wrapped(text, shutil.get_terminal_size().columns, indent)
-        self.say(text)
+        wraps = self.talks and sys.stdout.isatty()
+        for text in texts:
+            self.say(wrapped(text, shutil.get_terminal_size().columns, indent) if wraps else text)
 
     def note(self, text: str) -> None:
         """One line beside the result, on standard error; the same line only once, and none with --quiet."""

@@ -67,8 +67,7 @@ def command(
             of.write_table(columns, COLUMNS, out)
     from fluxtwin.presenting import presented
 
-    for line in presented(found).sentences:
-        output.prose(line)
+    output.prose(*presented(found).sentences)
     output.say(f"Next: {_next_step(found, telemetry, calibration, out)}")
     output.say(
         f"{len(found.time)} rows, {int((~found.aided).sum())} without {found.aid}; {int(found.inflated.sum())} outliers"

@@ -185,16 +185,15 @@ def _print(output: Output, made: _Made, *, first: bool) -> None:
     if not first:
         output.say(f"\nMagnetometer {known.magnetometer}")
     if fit.verdict is not None:
-        for line in fit.verdict.lines[:-1]:
-            output.prose(line)
+        output.prose(*fit.verdict.lines[:-1])
         output.say(f"Next: {made.next_step}\n")
     output.say(f"{known.method}; field {known.field_model}; {known.samples} samples")
     output.tables(calibration_page.tables(fit))
     what = "per component" if fit.residuals_nT.shape[1] == 3 else "in |B|"
     output.say(f"residual {known.sigma_nT:.1f} nT {what}, 1 sigma; covariance: {known.covariance_kind}")
     impossible = _is_impossible(fit)
-    for line in () if fit.coverage is None or impossible else fit.coverage.lines:
-        output.prose(line)
+    if fit.coverage is not None and not impossible:
+        output.prose(*fit.coverage.lines)
     for message in () if manners.quiet or impossible else fit.messages:  # how a fit that is none was made helps nobody
         output.prose(f"- {message}", indent="  ")
     if len(fit.observability) > 1:  # a single one is in the verdict

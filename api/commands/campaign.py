@@ -44,8 +44,7 @@ def command(
         kept, words = len(list(out.glob("part-*.json"))), ["campaign", scenario, "--runs", runs, "--out", out]
         of.say_how_to_go_on(output, kept, f"parts are kept in {out}", words, seed, workers)
         raise
-    for line in campaign_page.sentences(flown.summary):
-        output.prose(line)
+    output.prose(*campaign_page.sentences(flown.summary))
     for table in campaign_page.tables(flown.summary):
         output.say()
         output.tables([table])

@@ -150,9 +150,8 @@ def _several(
     for name, diagnosis in found.items():
         for note in diagnosis.notes:
             output.note(f"note: {name}: {note}")
-        output.prose(f"{name}: {diagnosis.sentence}", indent="  ")
-        for line in diagnosis_page.lines(diagnosis):
-            output.prose(f"  {line}", indent="  ")
+        lines = [f"  {line}" for line in diagnosis_page.lines(diagnosis)]
+        output.prose(f"{name}: {diagnosis.sentence}", *lines, indent="  ")
     output.result({"records": {name: diagnosis.to_dict() for name, diagnosis in found.items()}})
 
 
@@ -165,8 +164,7 @@ def _fleet(
 
         records = {str(path): of.read(path, output, reading, one_of_many=True) for path in telemetry}
         found = fleets.fleet(records, progress=progress, **asked, **workers._asdict())
-    for line in found.lines:
-        output.prose(line)
+    output.prose(*found.lines)
     output.say()
     output.tables(fleets.tables(found))
     output.result(found.to_dict())
@@ -191,9 +189,7 @@ def _say(output: Output, diagnosis: Diagnosis, html: Path | None, close: Path | 
     if close is not None and not closed:
         why = "what is named is not in the readings" if diagnosis.effects else "no effect is named"
         output.note(f"note: {why}, so there is nothing to close: {close} is not written")
-    output.prose(diagnosis.sentence)
-    for line in diagnosis_page.lines(diagnosis):
-        output.prose(line)
+    output.prose(diagnosis.sentence, *diagnosis_page.lines(diagnosis))
     output.say()
     output.tables(diagnosis_page.tables(diagnosis))
     output.files([html, close if closed else None], "written: ")

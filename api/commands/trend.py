@@ -53,8 +53,7 @@ def command(
         if html is not None:
             progress("drawing", 0.9)
             written.append(write_page(trending.trend_page(found), html))
-    for line in found.lines:
-        output.prose(line)
+    output.prose(*found.lines)
     output.say()
     output.tables([trending.trend_table(found)])
     output.files(written)

@@ -13,7 +13,7 @@ from fluxtwin.calib.common.direction import CONFIDENCE
 from fluxtwin.calib.common.fit import Fit
 from fluxtwin.calib.common.onboard import for_record
 from fluxtwin.calib.common.records import CONVENTION, Calibration, parameter_unit
-from fluxtwin.scenarios.page import FigureBlock, Page, PageSection, Table
+from fluxtwin.scenarios.page import FigureBlock, Page, PageSection, Table, with_rows
 from fluxtwin.sim.base.seals import FORMAT, sealed
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import epoch
@@ -148,9 +148,7 @@ def correlation_tables(fit: Fit) -> list[Table]:
     """The worst five of the correlated pairs; nothing where there are none."""
     pairs = () if fit.verdict is None else fit.verdict.correlated
     rows = [[f"{one}, {other}", f"{value:+.3f}"] for one, other, value in pairs]
-    return (
-        [Table("The most correlated pairs of parameters, at most five", ["pair", "correlation"], rows)] if rows else []
-    )
+    return with_rows(Table("The most correlated pairs of parameters, at most five", ["pair", "correlation"], rows))
 
 
 def residual_series(fit: Fit, before_nT: FloatArray | None = None) -> TimeSeries:
@@ -174,25 +172,20 @@ def _coverage(fit: Fit) -> list[PageSection]:
         [p.words, "" if p.rows is None else str(p.rows), "" if p.ratio is None else plain(p.ratio, 2)]
         for p in seen.plans
     ]
-    table = Table(
-        f"To halve the sigma of {seen.worst}",
-        ["more data", "rows", "of this record"],
-        rows,
-        "Predicted from the Jacobian of this fit, with errors as they are in this record; blank: more than a hundred "
-        "records.",
-    )
-    return [
-        PageSection(
-            "Directions and what to fly",
-            list(seen.lines),
-            [table] if rows else [],
-            [coverage_block(seen.directions_B, seen.counts)],
+    tables = with_rows(
+        Table(
+            f"To halve the sigma of {seen.worst}",
+            ["more data", "rows", "of this record"],
+            rows,
+            "Predicted from the Jacobian of this fit, with errors as they are in this record; blank: more than a hundred "
+            "records.",
         )
-    ]
+    )
+    blocks = [coverage_block(seen.directions_B, seen.counts)]
+    return [PageSection("Directions and what to fly", list(seen.lines), tables, blocks)]
 
 
 def _bias_tables(calibration: Calibration) -> list[Table]:
-    """Fields that follow a column."""
     rows, late = [], []
     for name, one in calibration.to_dict().get("telemetry_bias", {}).items():
         how = [f"{plain(one['delay_s'])} s later"] if "delay_s" in one else []
@@ -201,7 +194,7 @@ def _bias_tables(calibration: Calibration) -> list[Table]:
         for axis, value, sigma in zip("xyz", one["nT_per_unit"], one["sigma"], strict=True):
             rows.append([f"{name} {axis}", *with_sigma(value, sigma)])
     title = "Field in the reading per unit of the column [nT]"
-    return [Table(title, ["column", "value", "sigma"], rows, note=" ".join(late))] if rows else []
+    return with_rows(Table(title, ["column", "value", "sigma"], rows, note=" ".join(late)))
 
 
 def _angles(fit: Fit) -> Table:

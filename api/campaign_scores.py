@@ -40,12 +40,10 @@ def summarise(name: str, seed: int, runs: Sequence[dict[str, Any]]) -> dict[str,
 
 def wilson(hits: int, of: int) -> tuple[float, float]:
     """95 % interval of a share (Wilson 1927, J. Am. Stat. Assoc. 22, 209)."""
-    if not of:
-        return 0.0, 1.0
-    p, z2 = hits / of, _NORMAL_95**2
-    middle = (p + z2 / (2 * of)) / (1 + z2 / of)
-    half = _NORMAL_95 / (1 + z2 / of) * np.sqrt(p * (1 - p) / of + z2 / (4 * of**2))
-    return float(max(middle - half, 0.0)), float(min(middle + half, 1.0))
+    from scipy.stats import binomtest
+
+    low, high = binomtest(hits, of).proportion_ci(method="wilson") if of else (0.0, 1.0)
+    return float(low), float(high)
 
 
 def _reasons(words: Sequence[str]) -> dict[str, int]:

@@ -13,7 +13,6 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -107,14 +106,9 @@ def campaign(
 
 def run_part(record: Mapping[str, Any], number: int) -> tuple[int, list[Run]]:
     """The runs of one part of a recorded plan, for a process anywhere."""
-    plan = _plan(json.dumps(record))
+    plan = Plan.from_record(record)
     known = plan.scenario.updated({"effects": None, "draws": None})
     return number, [one_run(plan.vehicle(run), known, run, plan.drawn(run)) for run in plan.members(number)]
-
-
-@lru_cache(maxsize=1)
-def _plan(record: str) -> Plan:
-    return Plan.from_record(json.loads(record))
 
 
 def one_run(flown: Scenario, known: Scenario, number: int, drawn: Mapping[str, Any]) -> Run:
@@ -211,19 +205,10 @@ def _kept(plan: Plan, folder: Path, number: int) -> list[Run] | None:
     return rows if same and [row.get("run") for row in rows] == list(plan.members(number)) else None
 
 
-def whole_parts(folder: Path | str) -> int:
-    """How many parts lie in a folder."""
-    return len(list(Path(folder).glob("part-*.json")))
-
-
 def _words(seconds: float) -> str:
-    return (
-        f"{seconds:.0f} s"
-        if seconds < 90
-        else f"{seconds / 60:.0f} min"
-        if seconds < 5400
-        else f"{seconds / 3600:.1f} h"
-    )
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
 
 
 def _write_table(runs: Sequence[Run], path: Path) -> None:

@@ -81,9 +81,11 @@ def shown(value: object) -> str:
     return clean(str(value))
 
 
-def wrapped(text: str, width: int = 80) -> str:
-    """`text` in lines of at most `width`, where its words allow it: paths and long names stay whole."""
-    return textwrap.fill(text, width, break_long_words=False, break_on_hyphens=False) if len(text) > width else text
+def wrapped(text: str, width: int = 80, indent: str = "") -> str:
+    """`text` in lines of at most `width`, later ones behind `indent`, where its words allow it: long names stay whole."""
+    if len(text) <= width:
+        return text
+    return textwrap.fill(text, width, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
 
 
 def without_nan(value: Any) -> Any:
@@ -121,12 +123,11 @@ class Output:
         self.say(text)
         sys.stdout.flush()
 
-    def prose(self, text: str, *, indent: str = "") -> None:
+    def prose(self, *texts: str, indent: str = "") -> None:
         """Sentences of a result: on a terminal they are broken between words, later lines behind `indent`."""
-        if self.talks and sys.stdout.isatty():
-            width = shutil.get_terminal_size().columns
-            text = textwrap.fill(text, width, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
-        self.say(text)
+        wraps = self.talks and sys.stdout.isatty()
+        for text in texts:
+            self.say(wrapped(text, shutil.get_terminal_size().columns, indent) if wraps else text)
 
     def note(self, text: str) -> None:
         """One line beside the result, on standard error; the same line only once, and none with --quiet."""
@@ -169,9 +170,9 @@ class Output:
         for one in tables:
             self.table(one.title, one.columns, one.rows, one.note)
 
-    def files(self, written: Iterable[Path | str], lead: str = "  ") -> None:
-        """A line for each file that was written."""
-        for path in written:
+    def files(self, written: Iterable[Path | str | None], lead: str = "  ") -> None:
+        """A line for each file that was written; None is none."""
+        for path in filter(None, written):
             self.say(f"{lead}{path}")
 
     def result(self, record: Mapping[str, Any]) -> None:
@@ -218,8 +219,6 @@ class _LiveProgress:
         self._words, self._fraction = words, 0.0
         self._bar: Any = None
         self._task: Any = None
-        self._stopped = False
-        self._lock = threading.Lock()
         self._timer = threading.Timer(_QUIET_SECONDS, self._start)
         self._timer.daemon = True
         self._timer.start()
@@ -227,34 +226,29 @@ class _LiveProgress:
     def _start(self) -> None:
         from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-        with self._lock:
-            if self._stopped:
-                return
-            self._bar = Progress(
-                SpinnerColumn(),
-                TextColumn("{task.description}", markup=False),
-                BarColumn(),
-                TimeElapsedColumn(),
-                console=_console(stderr=True),
-                transient=True,
-            )
-            self._task = self._bar.add_task(clean(self._words), total=None)
-            self._bar.start()
+        bar = Progress(
+            SpinnerColumn(),
+            TextColumn("{task.description}", markup=False),
+            BarColumn(),
+            TimeElapsedColumn(),
+            console=_console(stderr=True),
+            transient=True,
+        )
+        self._task, self._bar = bar.add_task(clean(self._words), total=None), bar
+        bar.start()
         self.update(self._words, self._fraction)
 
     def update(self, words: str, fraction: float) -> None:
-        with self._lock:
-            self._words, self._fraction = words, fraction
-            if self._bar is not None:
-                total = 1.0 if fraction > 0 else None
-                self._bar.update(self._task, description=clean(words), completed=fraction, total=total)
+        self._words, self._fraction = words, fraction
+        if self._bar is not None:
+            total = 1.0 if fraction > 0 else None
+            self._bar.update(self._task, description=clean(words), completed=fraction, total=total)
 
     def stop(self) -> None:
-        with self._lock:
-            self._stopped = True
-            self._timer.cancel()
-            if self._bar is not None:
-                self._bar.stop()
+        self._timer.cancel()
+        self._timer.join()  # a bar that is just being started is there then
+        if self._bar is not None:
+            self._bar.stop()
 
 
 def _console(*, stderr: bool = False) -> Console:

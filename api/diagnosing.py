@@ -22,7 +22,6 @@ from fluxtwin.gap.problem.problem import DEFAULT_MODELLED, Budget
 from fluxtwin.gap.records.diagnosis import Diagnosis
 from fluxtwin.gap.report import input_warnings, words
 from fluxtwin.notebook import usual
-from fluxtwin.one_thread import on_one_blas_thread
 from fluxtwin.scenarios.packaged import as_scenario
 from fluxtwin.sim.base.errors import BadInput, NoAnswer
 from fluxtwin.sim.base.progress import Progress
@@ -38,11 +37,15 @@ from fluxtwin.sim.scenario.effect_sections import active_effects
 from fluxtwin.sim.scenario.scenario import Scenario
 from fluxtwin.sim.telemetry.record import Telemetry
 from fluxtwin.sim.telemetry.telemetry_files import Readable, Reading
-from fluxtwin.verbs import F, as_record, reading_of, with_keywords, with_reading
+from fluxtwin.verbs import F, as_record, on_one_blas_thread, reading_of, with_keywords, with_reading
 
 _MOST = {"noise_nT": 1e6, "lsb_nT": 1e6, "attitude_sigma_deg": 180.0, "attitude_tau_s": 1e9}
 """What may be declared of the errors: up to ten times the Earth's field, half a turn, thirty years; beyond, nothing is said
 of them."""
+_CORRECTED = (
+    "the readings are corrected already (by {}): the gap is what that calibration leaves, and the starting S, b and T of a "
+    "scenario are not used"
+)
 
 
 class Assumed(TypedDict, total=False):
@@ -141,7 +144,7 @@ def diagnose(
         verdict = "effect" if found.verdict == "effect" else "unknown"
         found = replace(found, verdict=verdict, sentence=words.wrong_file(traps, verdict, found.sentence), resembles=())
     notes = [
-        _corrected(record),
+        _CORRECTED.format(record.corrected_by) if record.corrected_by else None,
         *found.notes,
         stuck if stuck is not None else input_warnings.stuck_and_misfit(record, found.gap.before_nT),
         input_warnings.far_below_budget(
@@ -225,16 +228,6 @@ def _require_something(record: Telemetry) -> None:
             where="r_x_km r_y_km r_z_km",
             wanted="positions, --tle or a --scenario with orbit",
         )
-
-
-def _corrected(record: Telemetry) -> str | None:
-    """What is found in corrected readings is what the correction leaves."""
-    if not record.corrected_by:
-        return None
-    return (
-        f"the readings are corrected already (by {record.corrected_by}): the gap is what that calibration leaves, and "
-        "the starting S, b and T of a scenario are not used"
-    )
 
 
 def budget_of(config: Scenario | None, frozen: tuple[Active, ...], declared: Declared) -> Budget:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
 
 import numpy as np
 
@@ -15,7 +14,7 @@ from fluxtwin.gap.problem.problem import DEFAULT_MODELLED
 from fluxtwin.gap.records.diagnosis import Diagnosis, Law
 from fluxtwin.gap.report.advice import typical_size
 from fluxtwin.gap.report.words import APART_FROM_THEM, FIRST, located, percent
-from fluxtwin.scenarios.page import FigureBlock, Page, PageSection, Table
+from fluxtwin.scenarios.page import FigureBlock, Page, PageSection, Table, with_rows
 from fluxtwin.sim.base.files import to_json
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.effects.catalogue import title_of
@@ -63,10 +62,8 @@ def diagnosis_page(
 
 def _found(diagnosis: Diagnosis, record: Telemetry | None, far: PageSection) -> list[PageSection]:
     """What was found, what not, and what could not be. far: how far the gap shrinks."""
-    elsewhere = [transfer_table(diagnosis)] if diagnosis.transfers else []
-    open_ = [untestable_table(diagnosis)] if diagnosis.untestable else []
-    confused = confused_table(diagnosis)
-    could = [detectable_table(diagnosis), confused] if confused.rows else [detectable_table(diagnosis)]
+    elsewhere, open_ = with_rows(transfer_table(diagnosis)), with_rows(untestable_table(diagnosis))
+    could = [detectable_table(diagnosis), *with_rows(confused_table(diagnosis))]
     words = []
     if diagnosis.verdict == "unknown":
         words.append("The residual has structure that no effect in the catalogue explains, so none is named.")
@@ -74,11 +71,7 @@ def _found(diagnosis: Diagnosis, record: Telemetry | None, far: PageSection) -> 
         words.append(f"It resembles {', '.join(diagnosis.resembles)}.")
     groups = [effect.group for effect in diagnosis.effects if len(effect.group) > 1]
     words += [f"{' and '.join(group)} cannot be distinguished in these data." for group in groups]
-    shown = [effects_table(diagnosis)] if diagnosis.effects else []
-    if any(effect.rivals for effect in diagnosis.effects):
-        shown.append(rivals_table(diagnosis))
-    if diagnosis.ranking:
-        shown.append(ranking_table(diagnosis))
+    shown = with_rows(effects_table(diagnosis), rivals_table(diagnosis), ranking_table(diagnosis))
     return [
         far,
         *_parameters(diagnosis),
@@ -116,7 +109,7 @@ def _reestimated(diagnosis: Diagnosis, *, with_calibration: bool = False) -> lis
                 rows.append([effect, name, *with_sigma(float(value), known.sigma[name]), parameter_unit(name)])
     for effect, parameters in reestimated(diagnosis.closure).items():
         rows += [[effect, key, *with_sigma(one.value, one.sigma), one.unit] for key, one in parameters.items()]
-    return [Table("Re-estimated", ["effect", "parameter", "value", "sigma", "unit"], rows)] if rows else []
+    return with_rows(Table("Re-estimated", ["effect", "parameter", "value", "sigma", "unit"], rows))
 
 
 def _sentences(diagnosis: Diagnosis) -> list[str]:
@@ -159,23 +152,20 @@ def tables(diagnosis: Diagnosis) -> list[Table]:
     """The tables for the terminal, in order."""
     if _wrong_file(diagnosis):
         return []
-    shown = [effects_table(diagnosis)] if diagnosis.effects else []
-    if set(diagnosis.modelled) != set(DEFAULT_MODELLED):
-        shown += _reestimated(diagnosis, with_calibration=True)
-    if diagnosis.verdict == "unknown" and diagnosis.ranking:
-        shown.append(ranking_table(diagnosis))
-    if diagnosis.law is not None and diagnosis.law.terms:
-        shown.append(law_table(diagnosis.law))
-    shown.append(far_table(diagnosis))
-    shown += momentum_tables(diagnosis)
-    if diagnosis.transfers:
-        shown.append(transfer_table(diagnosis))
-    if diagnosis.untestable:
-        whole = untestable_table(diagnosis)
-        rows = [[name, f"{why}. To settle it: {cure}" if cure else why] for name, why, cure in whole.rows]
-        shown.append(Table(whole.title, whole.columns[:2], rows))
-    small = small_table(diagnosis)
-    return [*shown, small] if small.rows else shown
+    law, whole = diagnosis.law, untestable_table(diagnosis)
+    rows = [[name, f"{why}. To settle it: {cure}" if cure else why] for name, why, cure in whole.rows]
+    usual = set(diagnosis.modelled) == set(DEFAULT_MODELLED)
+    return with_rows(
+        effects_table(diagnosis),
+        *([] if usual else _reestimated(diagnosis, with_calibration=True)),
+        *([ranking_table(diagnosis)] if diagnosis.verdict == "unknown" else []),
+        *([law_table(law)] if law is not None and law.terms else []),
+        far_table(diagnosis),
+        *momentum_tables(diagnosis),
+        transfer_table(diagnosis),
+        Table(whole.title, whole.columns[:2], rows),
+        small_table(diagnosis),
+    )
 
 
 def lines(diagnosis: Diagnosis) -> list[str]:
@@ -470,11 +460,8 @@ def small_table(diagnosis: Diagnosis) -> Table:
     named = {effect.name for effect in diagnosis.effects}
     words = diagnosis.would_settle
     rows = [[name, words[name]] for name in diagnosis.minimum_detectable if name in words and name not in named]
-    note = (
-        ""
-        if PLAN in where_lines(diagnosis)
-        else "To see them, run fluxtwin plan on the same file: it proposes what to fly."
-    )
+    note = "To see them, run fluxtwin plan on the same file: it proposes what to fly."
+    note = "" if PLAN in where_lines(diagnosis) else note
     return Table("Not detectable at typical size", ["effect", "what would show it"], rows, note)
 
 
@@ -516,8 +503,8 @@ def confused_table(diagnosis: Diagnosis) -> Table:
             if share >= _CONFUSED and best.get((other, name), 0.0) < share:
                 best.pop((other, name), None)
                 best[pair] = share
-    ordered: Mapping[tuple[str, str], float] = dict(sorted(best.items(), key=lambda item: -item[1]))
-    rows = [[name, other, f"{100 * share:.0f} %"] for (name, other), share in ordered.items()]
+    ordered = sorted(best.items(), key=lambda item: -item[1])
+    rows = [[name, other, f"{100 * share:.0f} %"] for (name, other), share in ordered]
     return Table(
         "Confused with each other on this orbit and attitude",
         ["effect", "can be imitated by", "share"],

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fluxtwin.plots.evidence import FieldCoverage, draw_drivers, draw_field_coverage
+from fluxtwin.plots.evidence import draw_drivers, draw_field_coverage
 from fluxtwin.plots.time_series import TimeSeries, field_panels
 from fluxtwin.scenarios.page import FigureBlock
 from fluxtwin.sim.base.types import BoolArray, FloatArray, IntArray
@@ -35,13 +35,12 @@ def coverage_block(directions_B: FloatArray, counts: IntArray) -> FigureBlock:
         "Directions of the field in body axes, an equal-area map: longitude from body x to y, latitude towards z. Each dot "
         f"is one of {counts.size} equal areas, coloured by its rows; open where there was none."
     )
-    title = "Directions of the field in the body"
-    return FigureBlock("coverage", caption, draw_field_coverage(FieldCoverage(directions_B, counts), title=title))
+    return FigureBlock("coverage", caption, draw_field_coverage(directions_B, counts))
 
 
 def driver_blocks(record: Telemetry, residuals: dict[str, FloatArray]) -> list[FigureBlock]:
     """Residuals (N, K) [nT], by what they are called, against what the record of N rows has beside the field."""
-    figure = draw_drivers(_columns(record), residuals, title="The residual against what it may follow")
+    figure = draw_drivers(_columns(record), residuals)
     caption = (
         "Small dots: samples. Large dots: means over similar values, with 1 sigma. A slope or a step indicates an effect "
         "that is not modelled. The quantity that explains most of the residual comes first."

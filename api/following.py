@@ -26,7 +26,6 @@ from fluxtwin.gap.diagnose import new_rounding
 from fluxtwin.gap.problem.problem import DEFAULT_MODELLED
 from fluxtwin.gap.watch import FIRST_ROWS, FIRST_S, RUN, Changed, Watch, begin, enough
 from fluxtwin.notebook import usual
-from fluxtwin.one_thread import on_one_blas_thread
 from fluxtwin.sim.base.errors import BadInput, NoAnswer
 from fluxtwin.sim.base.processes import stop_if_asked
 from fluxtwin.sim.base.progress import Progress
@@ -37,7 +36,7 @@ from fluxtwin.sim.telemetry.csv_files import without_comments
 from fluxtwin.sim.telemetry.record import Telemetry, concatenate
 from fluxtwin.sim.telemetry.selection import NoneTaken, selected, selection
 from fluxtwin.sim.telemetry.telemetry_files import Reading, is_path, read_telemetry
-from fluxtwin.verbs import as_calibration, reading_of, with_reading
+from fluxtwin.verbs import as_calibration, on_one_blas_thread, reading_of, with_reading
 
 if TYPE_CHECKING:
     from fluxtwin.gap.records.diagnosis import Diagnosis

@@ -90,19 +90,22 @@ def claim(
 
 
 def written_by_fluxtwin(path: Path | str) -> bool:
-    """Whether an existing file is empty or bears the marks of what fluxtwin writes.
+    """Whether an existing file is empty or bears the marks of what fluxtwin writes; not, where it cannot be read.
 
     Telemetry as NetCDF and TOML carry a digest, so that a file edited since counts as the editor's. PNG, HTML, JSON and the
     truth of a simulation carry a name. CSV has no place for a mark: it never counts as fluxtwin's.
     """
-    with open(path, "rb") as opened:
-        head = opened.read(_HEAD_BYTES)
-        if head.startswith(b"\x89HDF"):
-            from fluxtwin.sim.telemetry.netcdf_files import is_own
+    try:
+        with open(path, "rb") as opened:
+            head = opened.read(_HEAD_BYTES)
+            if head.startswith(b"\x89HDF"):
+                from fluxtwin.sim.telemetry.netcdf_files import is_own
 
-            return is_own(path)
-        if b" Written by fluxtwin, " in head:
-            return is_sealed((head + opened.read()).decode("utf-8", "replace")) is True
+                return is_own(path)
+            if b" Written by fluxtwin, " in head:
+                return is_sealed((head + opened.read()).decode("utf-8", "replace")) is True
+    except OSError:
+        return False
     return (
         not head
         or (head.startswith(b"\x89PNG") and b"fluxtwin" in head)
@@ -124,7 +127,10 @@ def _fitting_name(path: Path, kind: Kind, where: str) -> None:
 def _free(path: Path, kind: Kind, where: str, force: bool) -> None:
     """BadInput unless something may be written there, and what lies there may go."""
     if kind in _FOLDERS:
-        if path.is_dir() and not force and any(path.iterdir()) and not _own_folder(path, kind):
+        record = path / _FOLDERS[kind]
+        # the others have a summary.json too
+        own = record.is_file() and (kind is not STUDY or written_by_fluxtwin(record))
+        if path.is_dir() and not force and any(path.iterdir()) and not own:
             raise BadInput(
                 f"holds files, but not {kind.words}",
                 where=where,
@@ -139,22 +145,10 @@ def _free(path: Path, kind: Kind, where: str, force: bool) -> None:
         return
     if not target.is_file():
         raise BadInput("is neither a file nor a device or pipe", where=where, wanted="another name")
-    if not force and not _readable_as_own(target):
+    if not force and not written_by_fluxtwin(target):
         csv = target.name.lower().endswith((".csv", ".csv.gz"))
         why = "a CSV does not say who wrote it" if csv else "fluxtwin did not write it, or it was edited since"
         raise BadInput(f"exists, and {why}", where=where, wanted="another name, or --force to replace it")
-
-
-def _readable_as_own(path: Path) -> bool:
-    try:
-        return written_by_fluxtwin(path)
-    except OSError:
-        return False
-
-
-def _own_folder(path: Path, kind: Kind) -> bool:
-    record = path / _FOLDERS[kind]
-    return record.is_file() and (kind is not STUDY or _readable_as_own(record))  # others have a summary.json too
 
 
 def _identity(path: Path | str) -> _Identity:

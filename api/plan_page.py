@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from fluxtwin.console import shown
 from fluxtwin.gap.records.plan import CalibrationPlan, Course, Plan, Question, SigmaCourse
 from fluxtwin.scenarios.page import FigureBlock, Page, PageSection, Table
 
@@ -38,11 +39,7 @@ def plan_page(plan: Plan | CalibrationPlan, title: str) -> Page:
 
 
 def _fact(value: object) -> str:
-    if isinstance(value, (list, tuple)):
-        return ", ".join(map(_fact, value))
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
+    return ", ".join(map(_fact, value)) if isinstance(value, list | tuple) else shown(value)
 
 
 def plan_table(plan: Plan | CalibrationPlan) -> Table:

@@ -6,7 +6,7 @@ For a calibration: which manoeuvre halves the sigma of its worst parameter; each
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Unpack
 
@@ -27,7 +27,6 @@ from fluxtwin.gap.records.diagnosis import Diagnosis
 from fluxtwin.gap.records.plan import CalibrationPlan, Plan, Question, SigmaCourse
 from fluxtwin.gap.records.schema import diagnosis_schema
 from fluxtwin.notebook import usual
-from fluxtwin.one_thread import on_one_blas_thread
 from fluxtwin.scenarios.packaged import as_scenario
 from fluxtwin.sim.base.errors import BadInput, NoAnswer
 from fluxtwin.sim.base.limits import text_of
@@ -44,7 +43,7 @@ from fluxtwin.sim.run.world import ephemeris
 from fluxtwin.sim.scenario.scenario import Scenario
 from fluxtwin.sim.telemetry.record import Telemetry
 from fluxtwin.sim.telemetry.telemetry_files import Readable
-from fluxtwin.verbs import as_record, reading_of, with_reading
+from fluxtwin.verbs import as_record, on_one_blas_thread, reading_of, with_reading
 
 HALF = 0.5
 _SHARES = (0.25, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
@@ -65,6 +64,10 @@ _KEYS = {
     "attitude_tau_s": "attitude.reference.tau_s",
 }
 """Where a scenario has what may be declared of the errors."""
+_INFERRED = (
+    "orbit, noise, calibration, torquers and housekeeping of the manoeuvres were inferred from the record; --scenario FILE "
+    "states them more accurately"
+)
 
 
 def plan_calibration(
@@ -91,16 +94,16 @@ def plan_calibration(
     if not worst:
         raise NoAnswer("this calibration has no sigmas, so nothing can be said of what would halve them")
     now = sigma_of(fit, worst)
-    made = fly(
+    flown, refused, allowed = fly(
         drawn(base, fit, 0).updated({"magnetometer.b_mG": None}),
         limits,
         lambda words, share: progress(words, 0.2 * share),
     )
     courses = []
-    for place, (design, flown) in enumerate(made.flown):
-        progress(f"calibrating with {design.words}", 0.2 + 0.8 * place / len(made.flown))
+    for place, (design, one) in enumerate(flown):
+        progress(f"calibrating with {design.words}", 0.2 + 0.8 * place / len(flown))
         if not design.tests:  # pulses of torquers say nothing of S and b
-            courses.append(_course(design, record, flown, fitted, worst, HALF * now))
+            courses.append(_course(design, record, one, fitted, worst, HALF * now))
     courses.sort(key=lambda one: _rank(one, HALF * now))
     again = [_again(one, record, fit, fitted, worst) for one in courses[:_KEPT]]
     nominal = {"magnetometer.S": np.asarray(fit.calibration.S).tolist()}
@@ -110,9 +113,8 @@ def plan_calibration(
     ]
     progress("done", 1.0)
     unit = parameter_unit(worst)
-    return CalibrationPlan(
-        _sentence(worst, now, unit, courses), worst, now, unit, courses, made.limits, made.refused, list(notes)
-    )
+    sentence = _sentence(worst, now, unit, courses)
+    return CalibrationPlan(sentence, worst, now, unit, courses, allowed, refused, list(notes))
 
 
 def sigma_of(fit: Fit, name: str) -> float:
@@ -207,9 +209,8 @@ def plan(
     field, degree = assumed.get("field"), assumed.get("degree")
     allowed = limits_of(limits)
     config = None if scenario is None else as_scenario(scenario)
+    notes = [_INFERRED] if config is None else []
     if tuple(names) == ("calibration",):
-        from fluxtwin.planning import plan_calibration
-
         if isinstance(telemetry, Diagnosis) or (isinstance(telemetry, Path | str) and str(telemetry).endswith(".json")):
             raise BadInput("a diagnosis has no readings to calibrate", where="plan", wanted="telemetry")
         record = as_record(telemetry, **reading)
@@ -219,7 +220,7 @@ def plan(
             base = base_of(diagnosing.diagnose(record, **assumed).to_dict())
             base = base.updated({_KEYS[name]: value for name, value in declared.items()})
         model = load_field(field or base.field.model, degree)
-        return plan_calibration(record, base, allowed, model, declared, notes_of(config), progress)
+        return plan_calibration(record, base, allowed, model, declared, notes, progress)
     diagnosis: Diagnosis | None
     if isinstance(telemetry, Diagnosis):
         diagnosis, plain = telemetry, telemetry.to_dict()
@@ -235,10 +236,9 @@ def plan(
         )
         plain = diagnosis.to_dict()
     base = config if config is not None and config.orbit is not None else base_of(plain)
-    model_name = field or base.field.model
-    where = _Where(base, plain["modelled"], model_name, degree if degree is not None else base.field.degree)
-    made = fly(base, allowed, lambda words, share: progress(words, 0.35 + 0.4 * share))
-    flown = [(design, where.flown(record, design.scenario)) for design, record in made.flown]
+    where = View(base, plain["modelled"], field, degree)
+    made, refused, limited = fly(base, allowed, lambda words, share: progress(words, 0.35 + 0.4 * share))
+    flown = [(design, where.flown(record, design.scenario)) for design, record in made]
     closure = None if diagnosis is None else diagnosis.closure
     here = flown[0][1] if closure is None else Flown(closure.problem, closure.whitener.noise)
     recorded = closure is not None
@@ -257,7 +257,7 @@ def plan(
             parts = [choose(part, flown) for part in questions.by_pairs(question)]
             found[-1:] = [*parts, found[-1]]
     progress("done", 1.0)
-    return Plan(sentence(found[0]), found, limits=made.limits, refused=made.refused, notes=notes_of(config))
+    return Plan(sentence(found[0]), found, limits=limited, refused=refused, notes=notes)
 
 
 def sentence(question: Question) -> str:
@@ -277,16 +277,18 @@ def with_article(manoeuvre: str) -> str:
     return f"{article}{manoeuvre}"
 
 
-def view_of(record: Telemetry, scenario: Scenario, modelled: Sequence[str] = DEFAULT_MODELLED) -> Flown:
-    """What a diagnosis of a record would see, given the scenario that it was flown by."""
-    return _Where(scenario, modelled, scenario.field.model, scenario.field.degree).flown(record, scenario)
+class View:
+    """How a later diagnosis will look at what is flown; field and degree are by default those of the scenario."""
 
-
-class _Where:
-    """How a later diagnosis will look at what is flown."""
-
-    def __init__(self, base: Scenario, modelled: Sequence[str], field: str, degree: int | None) -> None:
-        self.modelled, self.model = modelled, load_field(field, degree)
+    def __init__(
+        self,
+        base: Scenario,
+        modelled: Sequence[str] = DEFAULT_MODELLED,
+        field: str | None = None,
+        degree: int | None = None,
+    ) -> None:
+        self.modelled = modelled
+        self.model = load_field(field or base.field.model, base.field.degree if degree is None else degree)
         section, reference = base.magnetometer, base.attitude.reference
         sigma_rad = float(np.radians(reference.sigma_deg))
         self.budget = Budget(section.white_nT, section.step_nT, sigma_rad, reference.tau_s)
@@ -294,6 +296,7 @@ class _Where:
         self.noise = NoiseModel(max(white, 1e-3), sigma_rad, reference.tau_s)
 
     def flown(self, record: Telemetry, scenario: Scenario) -> Flown:
+        """What a diagnosis of a record would see, given the scenario that it was flown by."""
         problem = pose(
             record,
             self.model,
@@ -361,17 +364,13 @@ def _when(base: Scenario, limits: LimitsSection) -> tuple[np.datetime64, float, 
     return start, hours, step_s
 
 
-@dataclass(frozen=True)
-class Made:
-    """What may be flown, flown."""
+def fly(
+    base: Scenario, limits: LimitsSection, progress: Progress
+) -> tuple[list[tuple[Design, Telemetry]], dict[str, str], dict[str, Any]]:
+    """Every manoeuvre within the limits, flown; why others are not, by their words; and the limits with hours and step.
 
-    flown: list[tuple[Design, Telemetry]]
-    refused: dict[str, str]
-    limits: dict[str, Any]
-
-
-def fly(base: Scenario, limits: LimitsSection, progress: Progress) -> Made:
-    """Every manoeuvre within the limits. Raises BadInput where none is left."""
+    Raises BadInput where none is left.
+    """
     start, hours, step_s = _when(base, limits)
     every = designs(base, limits, hours, step_s, start)
     flown, refused = [], {}
@@ -385,7 +384,7 @@ def fly(base: Scenario, limits: LimitsSection, progress: Progress) -> Made:
             flown.append((design, record))
     if not flown:
         raise BadInput("no manoeuvre is allowed", where="[limits]", wanted="attitudes that keep the axis from the sun")
-    return Made(flown, refused, limits.model_dump(exclude_none=True) | {"hours": hours, "step_s": step_s})
+    return flown, refused, limits.model_dump(exclude_none=True) | {"hours": hours, "step_s": step_s}
 
 
 def _towards_sun(truth: Truth, limits: LimitsSection) -> float:
@@ -396,13 +395,3 @@ def _towards_sun(truth: Truth, limits: LimitsSection) -> float:
     cosine = frames.rotation_from_q(truth.q_NB).apply(sun.sun_direction_N(truth.time, truth.r_N_km)) @ axis
     near = cosine > np.cos(np.radians(limits.keep_from_sun_deg))
     return float(np.mean(near & (truth.illumination > 0.5)))
-
-
-def notes_of(config: Scenario | None) -> list[str]:
-    """What was assumed of the spacecraft."""
-    if config is not None:
-        return []
-    return [
-        "orbit, noise, calibration, torquers and housekeeping of the manoeuvres were inferred from the record; "
-        "--scenario FILE states them more accurately"
-    ]

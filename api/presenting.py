@@ -24,9 +24,9 @@ from fluxtwin.following import Followed
 from fluxtwin.gap.fleet import Fleet
 from fluxtwin.gap.records.diagnosis import Diagnosis
 from fluxtwin.gap.records.plan import CalibrationPlan, Plan
-from fluxtwin.plots import on_axes
+from fluxtwin.plots import on_axes, style
 from fluxtwin.plots.plan import power_on, sigma_on
-from fluxtwin.scenarios.page import StudyResult, Table
+from fluxtwin.scenarios.page import StudyResult, Table, with_rows
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.run.ensemble.run import Ensemble
@@ -62,7 +62,9 @@ def plot(result: object, axes: Axes | None = None) -> Axes:
     """One picture of the result in `axes` or new ones. Raises BadInput where there is nothing to draw."""
     if not isinstance(result, tuple(_PICTURES)) or (isinstance(result, Telemetry) and not result.has_reading.any()):
         raise BadInput(f"there is nothing to draw in this {type(result).__name__}", where="plot")
-    drawn: Axes = _of(result, _PICTURES)(on_axes.new_axes() if axes is None else axes, result)
+    if axes is None:
+        _, ((axes,),) = style.figure(style.FULL_WIDTH_IN, 3.0)
+    drawn: Axes = _of(result, _PICTURES)(axes, result)
     return drawn
 
 
@@ -100,8 +102,7 @@ def _plan(found: Plan | CalibrationPlan) -> Presented:
 
 
 def _check(found: CheckReport) -> Presented:
-    table = check_page.findings_table(found)
-    return Presented([check_page.verdict(found)], [table] if table.rows else [])
+    return Presented([check_page.verdict(found)], with_rows(check_page.findings_table(found)))
 
 
 def _inventory(found: describing.Inventory) -> Presented:
@@ -151,15 +152,10 @@ def _attitude(found: AttitudeSolution) -> Presented:
 def _sizes(found: AttitudeSolution) -> str:
     """The errors that matter; one far below its neighbour is not determined by the data."""
     n, parts = found.noises, []
+    other, drift_deg = "reference" if "reference" in found.source else "nadir", np.degrees(n.drift_rad)
     for name, white, slow, slow_s, unit in (
         ("field", n.field_nT, n.slow_nT, n.slow_s, "nT"),
-        (
-            "reference" if "reference" in found.source else "nadir",
-            np.degrees(n.white_rad),
-            np.degrees(n.drift_rad),
-            n.drift_s,
-            "deg",
-        ),
+        (other, np.degrees(n.white_rad), drift_deg, n.drift_s, "deg"),
     ):
         if name == "field" or "attitude" in found.nis:
             size = [f"{plain(white, 2)} {unit} white"] if white > 0.1 * slow else []
@@ -217,11 +213,8 @@ def _export(made: Export) -> Presented:
 def _draw_ensemble(axes: Axes, flown: Ensemble) -> Axes:
     if flown.envelope is None:
         raise BadInput("its vehicles have no pointing to draw", where="plot", wanted="a scenario that points")
-    around, title = flown.envelope, "Pointing error over the vehicles"
-    size_deg, names = (
-        np.stack([around.median_deg, around.p95_deg, around.max_deg], axis=1),
-        ("median", "95 %", "largest"),
-    )
+    around, title, names = flown.envelope, "Pointing error over the vehicles", ("median", "95 %", "largest")
+    size_deg = np.stack([around.median_deg, around.p95_deg, around.max_deg], axis=1)
     return on_axes.components(axes, around.time, size_deg, y="pointing error [deg]", title=title, names=names)
 
 

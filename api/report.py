@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fluxtwin.console import clean, command_line, is_number, shown
-from fluxtwin.sim.base.files import write_text
+from fluxtwin.sim.base.files import write_bytes, write_text
 
 if TYPE_CHECKING:
     from jinja2 import Template
@@ -43,10 +43,7 @@ _READABLE_PX = 9.1  # of the smallest text of a figure, on whatever screen; its 
 
 
 def render_report(page: Page) -> str:
-    """The page as HTML, one file: style, tables and figures inside.
-
-    Raises ValueError for a figure that is neither a matplotlib Figure, nor the bytes of a PNG, nor a `TimeSeries`.
-    """
+    """The page as HTML, one file: style, tables and figures inside."""
     import fluxtwin
 
     template, style, script = _parts()
@@ -60,12 +57,14 @@ def write_page(page: Page, path: Path, command: str | None = None) -> Path:
     return write_text(path, render_report(replace(page, command=command_line() if command is None else command)))
 
 
-def png_bytes(figure: Figure | bytes | TimeSeries) -> bytes:
-    """The figure as a PNG without a date inside; bytes of a PNG come back as they are."""
-    if isinstance(figure, bytes):
-        if not figure.startswith(b"\x89PNG\r\n\x1a\n"):
-            raise ValueError("a figure given as bytes must be a PNG")
-        return figure
+def write_figures(page: Page, folder: Path, prefix: str = "") -> list[Path]:
+    """Write each figure of the page as `NAME.png`; returns the paths."""
+    blocks = [block for section in page.sections for block in section.figures]
+    return [write_bytes(folder / f"{prefix}{block.name}.png", png_bytes(block.figure)) for block in blocks]
+
+
+def png_bytes(figure: Figure | TimeSeries) -> bytes:
+    """The figure as a PNG without a date inside."""
     buffer = io.BytesIO()
     _drawn(figure).savefig(buffer, format="png", dpi=FIGURE_DPI, metadata={"Software": "fluxtwin"})
     return buffer.getvalue()
@@ -85,13 +84,13 @@ def _shown(block: FigureBlock) -> dict[str, Any]:
     from fluxtwin.plots.time_series import TimeSeries
 
     series = block.figure.to_dict() if isinstance(block.figure, TimeSeries) else None
-    figure = block.figure if isinstance(block.figure, bytes) else _drawn(block.figure)
+    figure = _drawn(block.figure)
     png = png_bytes(figure)
     # The same picture in 64 colours, a quarter of the size.
     buffer = io.BytesIO()
     Image.open(io.BytesIO(png)).convert("RGB").quantize(64, dither=Image.Dither.NONE).save(buffer, "png", optimize=True)
     uri = "data:image/png;base64," + base64.b64encode(min(png, buffer.getvalue(), key=len)).decode("ascii")
-    width = 0 if isinstance(figure, bytes) else round(_READABLE_PX * 72.0 * figure.get_figwidth() / _smallest(figure))
+    width = round(_READABLE_PX * 72.0 * figure.get_figwidth() / _smallest(figure))
     data = "" if series is None else json.dumps(series, separators=(",", ":")).replace("<", "\\u003c")
     return {"uri": uri, "width": width, "data": data}
 
@@ -156,17 +155,8 @@ def _parts() -> tuple[Template, str, str]:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    filters: dict[str, Any] = {
-        "shown": shown,
-        "clean": clean,
-        "whole": _whole,
-        "command": _command,
-        "titled": _titled,
-        "drawn": _shown,
-    }
-    filters["broad"] = _broad
-    filters["download"] = _download
-    environment.filters.update(filters)
+    filters: dict[str, Any] = {"shown": shown, "clean": clean, "whole": _whole, "command": _command}
+    environment.filters |= {**filters, "titled": _titled, "drawn": _shown, "broad": _broad, "download": _download}
     environment.tests["numeric"] = is_number
     style, script = ((files("fluxtwin") / "templates" / f"report.{end}").read_text("utf-8") for end in ("css", "js"))
     return environment.get_template("report.html"), style, script

@@ -1,20 +1,29 @@
-"""Run a study and write its page: `summary.json`, the figures as PNG, `report.html`."""
+"""Run a study and write its page: `summary.json`, the figures as PNG, `report.html`.
+
+A study is a module `scenarios/NAME/study.py` and a name here. It offers `run(out, data, progress) -> StudyResult`: `out` is
+an existing writable folder, `data` a folder of recorded data or None.
+"""
 
 from __future__ import annotations
 
 import shlex
+from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
 
 import fluxtwin
 from fluxtwin.notebook import usual
 from fluxtwin.outputs import JSON_MARK
-from fluxtwin.report import png_bytes, write_page
+from fluxtwin.report import write_figures, write_page
 from fluxtwin.scenarios.page import StudyResult
-from fluxtwin.scenarios.registry import STUDIES, find_study
-from fluxtwin.sim.base.errors import BadInput
-from fluxtwin.sim.base.files import writable_folder, write_bytes, write_json
+from fluxtwin.sim.base.errors import BadInput, nearest
+from fluxtwin.sim.base.files import writable_folder, write_json
 from fluxtwin.sim.base.progress import Progress, part_of
 from fluxtwin.sim.base.seals import sealed_json
+
+STUDIES = ("seasat", "hcmm", "st5", "elfin", "flight-field", "flight-gaps")
+_MOVED = ("seasat", "hcmm")
+"""Those whose `run` takes the keyword `attitude` too: their vehicle may move in more than one way."""
 
 
 def run_study(
@@ -33,16 +42,11 @@ def run_study(
     written, before the work starts.
     """
     run = find_study(name)
-    study = STUDIES.get(name)
-    if data is None and study is not None and study.needs_data:
-        raise BadInput(
-            f"the study {name} compares with recorded data",
-            where="run",
-            wanted="--data DIR, the folder that holds them",
-        )
     if data is not None and not Path(data).is_dir():
         raise BadInput("no such folder", where=f"--data {data}", wanted="the folder that holds the recorded data")
-    options = _options(name, attitude)
+    if attitude is not None and name not in _MOVED:
+        raise BadInput(f"{attitude!r}", where="--attitude", wanted=f"no --attitude: the study {name} has one motion")
+    options = {} if attitude is None else {"attitude": attitude}
     target = Path(f"{name}-results") if out is None else Path(out)
     found = target.exists()
     try:
@@ -57,8 +61,7 @@ def run_study(
         ]
         for stem, page in {**pages, **result.more_pages}.items():
             prefix = "" if stem == "report" else f"{stem}_"
-            blocks = [block for section in page.sections for block in section.figures]
-            written += [write_bytes(folder / f"{prefix}{block.name}.png", png_bytes(block.figure)) for block in blocks]
+            written += write_figures(page, folder, prefix)
             written.append(write_page(page, folder / f"{stem}.html", shlex.join(again)))
         return result, [*result.written, *written]
     except BaseException:  # an interrupt too
@@ -67,11 +70,10 @@ def run_study(
         raise
 
 
-def _options(name: str, attitude: str | None) -> dict[str, str]:
-    if attitude is None:
-        return {}
-    offered = STUDIES[name].attitudes
-    if attitude not in offered:
-        wanted = " or ".join(offered) or f"no --attitude: the study {name} has one motion"
-        raise BadInput(f"{attitude!r}", where="--attitude", wanted=wanted)
-    return {"attitude": attitude}
+def find_study(name: str) -> Callable[..., StudyResult]:
+    """The `run` of the study called `name`; raises BadInput that names the nearest one."""
+    if name not in STUDIES:
+        hint = nearest(name.lower(), STUDIES, " (did you mean {!r}?)")
+        raise BadInput(f"no study is called {name!r}{hint}", where="run", wanted=" or ".join(STUDIES))
+    run: Callable[..., StudyResult] = import_module(f"fluxtwin.scenarios.{name.replace('-', '_')}.study").run
+    return run

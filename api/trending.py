@@ -20,8 +20,6 @@ from fluxtwin.sim.telemetry.record import Telemetry
 from fluxtwin.verbs import as_record, calibrate, reading_of, with_reading
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from fluxtwin.calib.trend import Trend
 
 DAY_H = 24.0
@@ -112,28 +110,10 @@ def trend_table(found: Trend) -> Table:
     return Table("Parameters over the calibrations", columns, rows, note)
 
 
-def trend_figure(found: Trend) -> Figure:
-    """Every parameter over time."""
-    from fluxtwin.plots.calibration import ParameterSeries, draw_calibration_trend
-
-    days = (found.time - found.time[0]).astype("timedelta64[ns]").astype(np.float64) / 8.64e13
-    series = []
-    for one in found.histories:
-        x = np.zeros(len(days))
-        if one.kind == "step":
-            x = (np.arange(len(days)) >= one.after).astype(np.float64)
-        elif one.kind == "drift":
-            x = days
-        elif one.kind == "temperature" and found.temperature_degC is not None:
-            x = found.temperature_degC
-        w = one.sigmas**-2.0
-        fitted = one.mean + one.size * (x - (w * x).sum() / w.sum())
-        series.append(ParameterSeries(one.name, one.unit, one.values, one.sigmas, fitted, one.kind))
-    return draw_calibration_trend(found.time, series, title="Parameters over the calibrations; bars are 1 sigma")
-
-
 def trend_page(found: Trend) -> Page:
     """The page of one trend."""
+    from fluxtwin.plots.calibration import draw_trend
+
     caption = (
         "Dots: values with 1 sigma. Line: the history that fits each parameter best, grey where it is constant and red "
         "where the parameter changed."
@@ -146,6 +126,6 @@ def trend_page(found: Trend) -> Page:
         else "calibrate anew with the telemetry after the change.",
         sections=[
             PageSection("What it means", list(found.lines[1:])),
-            PageSection("Parameters", [], [trend_table(found)], [FigureBlock("trend", caption, trend_figure(found))]),
+            PageSection("Parameters", [], [trend_table(found)], [FigureBlock("trend", caption, draw_trend(found))]),
         ],
     )

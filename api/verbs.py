@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Iterator, Sequence
+from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar, Unpack
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar, Unpack
 
 import numpy as np
 
@@ -13,7 +14,6 @@ from fluxtwin.calib.common.apply import apply_calibration, calibration_of
 from fluxtwin.calib.common.records import Calibration
 from fluxtwin.calib.methods import calibrate_by, with_options
 from fluxtwin.notebook import usual
-from fluxtwin.one_thread import on_one_blas_thread
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.progress import Progress
 from fluxtwin.sim.earth import epoch, frames
@@ -31,6 +31,8 @@ if TYPE_CHECKING:
     from fluxtwin.sim.scenario.scenario import Scenario
 
 F = TypeVar("F", bound=Callable[..., Any])
+P = ParamSpec("P")
+R = TypeVar("R")
 
 
 def as_model(field: str | FieldModel, degree: int | None = None) -> FieldModel:
@@ -51,6 +53,21 @@ def as_record(telemetry: Readable, **reading: Unpack[Reading]) -> Telemetry:
 
     part = selected(telemetry, reading.get("start"), reading.get("end"), reading.get("where"))
     return part.with_magnetometer(reading.get("magnetometer", telemetry.magnetometer))
+
+
+def on_one_blas_thread(verb: Callable[P, R]) -> Callable[P, R]:
+    """The verb with BLAS limited to one thread while it runs. Our matrices are small, or tall and thin: more threads wait
+    for each other, and with their number the last bits of every sum would change."""
+
+    @wraps(verb)
+    def limited(*arguments: P.args, **keywords: P.kwargs) -> R:
+        import scipy.linalg  # noqa: F401  (scipy has a BLAS of its own, and only what is loaded can be limited)
+        from threadpoolctl import threadpool_limits
+
+        with threadpool_limits(1, user_api="blas"):
+            return verb(*arguments, **keywords)
+
+    return limited
 
 
 def with_keywords(verb: F, of: Callable[..., Any], said: str) -> F:

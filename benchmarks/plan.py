@@ -39,7 +39,7 @@ import fluxtwin
 from fluxtwin.gap.planning.designs import LimitsSection, designs
 from fluxtwin.gap.planning.power import Cause
 from fluxtwin.gap.records.diagnosis import Diagnosis
-from fluxtwin.planning import view_of
+from fluxtwin.planning import View
 from fluxtwin.sim.base.errors import NoAnswer
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.scenario.effect_sections import effect_section
@@ -100,7 +100,7 @@ def case(pair: tuple[str, str], number: int, seed: int) -> Case | None:
     for attempt in range(_TRIES):
         rng = np.random.default_rng([seed, key, number, attempt])
         plain = world(rng).updated(PAIRS[pair])
-        view = view_of(fluxtwin.simulate(plain)[0], plain)
+        view = View(plain).flown(fluxtwin.simulate(plain)[0], plain)
         real = cause(truth, rng, view)
         if real is None or view.distinguishing(real, pair, view.problem.rows) > 0.5:
             continue
@@ -129,7 +129,7 @@ def case(pair: tuple[str, str], number: int, seed: int) -> Case | None:
         segment = best.scenario.schedule.segments[0]
         drawn = designs(plain, limits, best.hours, segment.step_s, epoch.parse_time(segment.start_utc))[0]
         wandering, _ = fluxtwin.simulate(with_cause(drawn.scenario, real, plain.seed + 2))
-        there = view_of(wandering, drawn.scenario)
+        there = View(drawn.scenario).flown(wandering, drawn.scenario)
         chance = there.distinguishing(real, pair, there.problem.rows)
         by_chance = fluxtwin.diagnose(wandering, scenario=plain)
         return Case(

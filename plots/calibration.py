@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from fluxtwin.plots import style
-from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
+from fluxtwin.sim.base.types import BoolArray, FloatArray
+
+if TYPE_CHECKING:
+    from fluxtwin.calib.trend import History, Trend
 
 
 def draw_scatter(
@@ -108,37 +110,33 @@ def draw_node_misfit(
     return figure
 
 
-@dataclass(frozen=True)
-class ParameterSeries:
-    """One parameter."""
-
-    name: str
-    unit: str
-    values: FloatArray
-    """(K,)."""
-    sigmas: FloatArray
-    """(K,) 1 sigma."""
-    fitted: FloatArray
-    """(K,) what it is taken to have done."""
-    kind: str
-    """constant, step, drift or temperature."""
-
-
-def draw_calibration_trend(time: TimeArray, series: Sequence[ParameterSeries], *, title: str) -> Figure:
+def draw_trend(found: Trend) -> Figure:
     """A panel a parameter, three in a row; bars are 1 sigma. A line in colour where a parameter changed, grey where not."""
-    rows = -(-len(series) // 3)
+    rows = -(-len(found.histories) // 3)
     figure, grid = style.figure(7.6, 0.8 + 1.5 * rows, rows=rows, cols=3, share_x=True)
-    style.heading(figure, title)
+    style.heading(figure, "Parameters over the calibrations; bars are 1 sigma")
     panels = [axes for row in grid for axes in row]
-    for axes, one in zip(panels, series, strict=False):
+    for axes, one in zip(panels, found.histories, strict=False):
         colour, words = (style.GREY, "constant") if one.kind == "constant" else (style.VERMILION, "changed")
-        course = "steps-mid" if one.kind == "step" else "default"
-        axes.plot(time, one.fitted, "-", drawstyle=course, linewidth=1.2, color=colour, label=words)
-        axes.errorbar(time, one.values, one.sigmas, fmt="o", markersize=3, color=style.BLUE, elinewidth=1.0, capsize=2)
+        look: dict[str, Any] = {"drawstyle": "steps-mid" if one.kind == "step" else "default", "linewidth": 1.2}
+        axes.plot(found.time, _fitted(found, one), "-", color=colour, label=words, **look)
+        bars: dict[str, Any] = {"markersize": 3, "color": style.BLUE, "elinewidth": 1.0, "capsize": 2}
+        axes.errorbar(found.time, one.values, one.sigmas, fmt="o", **bars)
         style.label(axes, title=one.name if one.unit == "1" else f"{one.name} [{one.unit}]")
         axes.ticklabel_format(axis="y", useOffset=False)
-    for axes in panels[len(series) :]:
+    for axes in panels[len(found.histories) :]:
         axes.set_visible(False)
     for axes in grid[-1]:
-        style.utc(axes, time, most=3)
+        style.utc(axes, found.time, most=3)
     return figure
+
+
+def _fitted(found: Trend, one: History) -> FloatArray:
+    """(K,) what a parameter is taken to have done."""
+    x = (found.time - found.time[0]) / np.timedelta64(1, "D")
+    if one.kind == "step":
+        x = (np.arange(x.size) >= one.after).astype(np.float64)
+    elif one.kind == "temperature" and found.temperature_degC is not None:
+        x = found.temperature_degC
+    weight = one.sigmas**-2.0
+    return np.asarray(one.mean + one.size * (x - (weight * x).sum() / weight.sum()))

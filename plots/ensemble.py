@@ -10,25 +10,19 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from fluxtwin.plots import style
-from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
+from fluxtwin.sim.base.types import BoolArray, FloatArray
+from fluxtwin.sim.run.ensemble.summary import Envelope
 
 
-def pointing_envelope(
-    time: TimeArray,
-    p5_deg: FloatArray,
-    median_deg: FloatArray,
-    p95_deg: FloatArray,
-    max_deg: FloatArray,
-    *,
-    title: str,
-    vehicles: int,
-) -> Figure:
-    """Percentiles over the vehicles at each time, shapes (T,), and the worst vehicle of that time; in logarithms."""
+def pointing_envelope(around: Envelope, *, title: str, vehicles: int) -> Figure:
+    """Percentiles over the vehicles at each time, and the worst vehicle of that time; in logarithms."""
+    time = around.time
     figure, ((axes,),) = style.figure(style.FULL_WIDTH_IN, 3.6)
-    axes.fill_between(time, p5_deg, p95_deg, color=style.SKY, alpha=0.45, linewidth=0, label="5 to 95 %")
-    axes.plot(time, median_deg, color=style.BLUE, linewidth=1.4, label="median")
-    axes.plot(time, max_deg, color=style.VERMILION, linewidth=0.9, linestyle="--", label="worst of that moment")
-    if min(float(np.min(part)) for part in (p5_deg, median_deg)) > 0.0:
+    axes.fill_between(time, around.p5_deg, around.p95_deg, color=style.SKY, alpha=0.45, linewidth=0, label="5 to 95 %")
+    axes.plot(time, around.median_deg, color=style.BLUE, linewidth=1.4, label="median")
+    worst: dict[str, Any] = {"color": style.VERMILION, "linewidth": 0.9, "linestyle": "--"}
+    axes.plot(time, around.max_deg, label="worst of that moment", **worst)
+    if around.p5_deg.min() > 0.0:
         axes.set_yscale("log")
         style.log_ruler(axes.yaxis)
     style.utc(axes, time)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -19,9 +18,7 @@ _MOST = 6  # panels rows: those that the residual follows most
 _DOTS = 2000  # of a panel
 
 
-def draw_drivers(
-    columns: Mapping[str, FloatArray], residuals: Mapping[str, FloatArray], *, title: str
-) -> Figure | None:
+def draw_drivers(columns: Mapping[str, FloatArray], residuals: Mapping[str, FloatArray]) -> Figure | None:
     """A row of panels a quantity, a panel an axis: samples, and means of groups of like values with their 1 sigma.
 
     columns: (N,) by name with unit; residuals: (N, K) [nT] by what they are called, at most two. The quantities are in the
@@ -52,7 +49,7 @@ def draw_drivers(
             if panels is grid[0]:
                 style.label(axes, title="xyz"[number] if axes_count == 3 else "|B|")
     style.legend_below(figure, grid[0][0])
-    style.heading(figure, title)
+    style.heading(figure, "The residual against what it may follow")
     return figure
 
 
@@ -66,29 +63,20 @@ def _share(column: FloatArray, residual: FloatArray) -> float:
     return float(explained / max(((y - y.mean(axis=0)) ** 2).sum(), 1e-300))
 
 
-@dataclass(frozen=True)
-class FieldCoverage:
-    """Equal areas of directions in body axes."""
+def draw_field_coverage(directions_B: FloatArray, counts: IntArray) -> Figure:
+    """Dots as wide as the areas, in an equal-area map: longitude from body x to y, latitude to z. Open dots had no row.
 
-    directions_B: FloatArray
-    """(K, 3) their middles, unit vectors."""
-    counts: IntArray
-    """(K,) rows in each."""
-
-
-def draw_field_coverage(record: FieldCoverage, *, title: str) -> Figure:
-    """Dots as wide as the areas, in an equal-area map: longitude from body x to y, latitude to z. Open dots had no row."""
+    directions_B: (K, 3) middles of equal areas, unit vectors; counts: (K,) rows in each.
+    """
     figure = style.figure(7.2, 3.9)[0]
     figure.clf()
     axes = figure.add_subplot(projection="mollweide")
-    style.heading(figure, title)
-    x, y, z = record.directions_B.T
+    style.heading(figure, "Directions of the field in the body")
+    x, y, z = directions_B.T
     longitude, latitude = np.arctan2(y, x), np.arcsin(np.clip(z, -1.0, 1.0))
-    seen = record.counts > 0
+    seen = counts > 0
     axes.scatter(longitude[~seen], latitude[~seen], s=110, facecolors="none", edgecolors=style.GREY, linewidths=0.8)
-    dots = axes.scatter(
-        longitude[seen], latitude[seen], s=110, c=np.log10(record.counts[seen]), cmap="viridis", vmin=0.0
-    )
+    dots = axes.scatter(longitude[seen], latitude[seen], s=110, c=np.log10(counts[seen]), cmap="viridis", vmin=0.0)
     quarter = np.pi / 2
     sides = {"+x": (0.0, 0.0), "+y": (quarter, 0.0), "-y": (-quarter, 0.0), "+z": (0.0, 1.45), "-z": (0.0, -1.45)}
     sides |= {"-x": (0.95 * np.pi, 0.0)}
@@ -101,7 +89,7 @@ def draw_field_coverage(record: FieldCoverage, *, title: str) -> Figure:
     axes.set_yticklabels([])
     axes.set_axisbelow(True)
     axes.grid(alpha=0.3)
-    bar = figure.colorbar(dots, ax=axes, shrink=0.7, ticks=range(int(np.log10(max(record.counts.max(), 1))) + 1))
+    bar = figure.colorbar(dots, ax=axes, shrink=0.7, ticks=range(int(np.log10(max(counts.max(), 1))) + 1))
     bar.ax.set_yticklabels([f"{10 ** int(tick)}" for tick in bar.get_ticks()])
     bar.set_label("rows")
     return figure

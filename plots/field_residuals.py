@@ -93,11 +93,7 @@ def residual_series(tracks: Sequence[ResidualTrack], title: str, low_latitude_de
     reach = np.concatenate([track.latitude_deg for track in tracks])
     grid[3][1].set_xlim(max(float(reach.min()) - 4.0, -90.0), min(float(reach.max()) + 4.0, 90.0))
     grid[3][1].xaxis.set_major_locator(MaxNLocator(nbins=6, steps=[1, 2, 3, 6, 10], prune="both"))
-    handles, labels = grid[0][0].get_legend_handles_labels()
-    below: dict[str, Any] = {"loc": "outside lower center", "fontsize": style.NOTE_PT, "frameon": False}
-    made = figure.legend(handles, labels, ncols=len(tracks), **below)
-    for text in made.get_texts():
-        text.set_parse_math(False)
+    style.legend_below(figure, grid[0][0], columns=len(tracks), frame=False)
     return figure
 
 

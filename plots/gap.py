@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
+from scipy.stats import binned_statistic
 
 from fluxtwin.gap.records.diagnosis import GapSeries, LawSeries
 from fluxtwin.plots import style
@@ -102,12 +103,9 @@ def _means(time: TimeArray, values: FloatArray) -> FloatArray:
 def _bands(frequency: FloatArray, amplitude: FloatArray) -> tuple[FloatArray, FloatArray]:
     """rms in even bands of log frequency: a spectrum of noise is a band of spikes, its level is what matters."""
     edges = np.geomspace(frequency[0], frequency[-1] * 1.0001, _BANDS + 1)
-    number = np.searchsorted(edges, frequency, side="right") - 1
-    samples = np.bincount(number, minlength=_BANDS)[:_BANDS]
-    power = np.bincount(number, weights=amplitude**2, minlength=_BANDS)[:_BANDS]
-    place = np.bincount(number, weights=frequency, minlength=_BANDS)[:_BANDS]
-    filled = samples > 0
-    return np.asarray(place[filled] / samples[filled]), np.asarray(np.sqrt(power[filled] / samples[filled]))
+    place, power = np.asarray(binned_statistic(frequency, [frequency, amplitude**2], "mean", edges).statistic)
+    filled = np.isfinite(place)
+    return place[filled], np.sqrt(power[filled])
 
 
 def _spectrum(seconds: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:

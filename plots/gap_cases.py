@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from scipy.stats import binned_statistic
 
 from fluxtwin.plots import style
 from fluxtwin.sim.base.types import FloatArray
@@ -75,16 +76,15 @@ def groups(labels: Sequence[str], series: Mapping[str, Sequence[float]], quantit
     axes.set_xticks(places, list(labels))
     style.zero_line(axes)
     style.label(axes, y=quantity, title=title)
-    figure.legend(loc="outside lower center", ncols=len(series), fontsize=style.NOTE_PT, frameon=False)
+    style.legend_below(figure, axes, columns=len(series), frame=False)
     return figure
 
 
 def _steps(latitude_deg: FloatArray, size: FloatArray) -> tuple[FloatArray, FloatArray]:
     """rms in steps of latitude, NaN where there are too few rows."""
     edges = np.arange(-90.0, 90.0 + _STEP_DEG, _STEP_DEG)
-    number = np.clip(np.searchsorted(edges, latitude_deg, side="right") - 1, 0, edges.size - 2)
     known = np.isfinite(size)
-    count = np.bincount(number[known], minlength=edges.size - 1)
-    total = np.bincount(number[known], weights=np.square(size[known]), minlength=edges.size - 1)
-    middle: FloatArray = 0.5 * (edges[1:] + edges[:-1])
-    return middle, np.where(count >= _LEAST_ROWS, np.sqrt(total / np.maximum(count, 1)), np.nan)
+    count, square = (
+        binned_statistic(latitude_deg[known], np.square(size[known]), how, edges).statistic for how in ("count", "mean")
+    )
+    return 0.5 * (edges[1:] + edges[:-1]), np.where(count >= _LEAST_ROWS, np.sqrt(square), np.nan)

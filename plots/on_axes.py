@@ -13,12 +13,6 @@ from fluxtwin.sim.base.types import FloatArray, TimeArray
 _MOST = 20_000  # points of a series that can be distinguished
 
 
-def new_axes() -> Axes:
-    """One pair of axes of a new figure."""
-    _, grid = style.figure(style.FULL_WIDTH_IN, 3.0)
-    return grid[0][0]
-
-
 def components(
     axes: Axes,
     time: TimeArray,

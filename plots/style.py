@@ -65,29 +65,21 @@ def figure(
 ) -> tuple[Figure, AxesGrid]:
     """A figure in the common look and its axes, `grid[row][column]` even for one panel.
 
-    The layout keeps labels from overlapping. width_in, height_in: size of the whole [inch].
+    The layout keeps labels from overlapping; a pale grid lies behind the data.
+    width_in, height_in: size of the whole [inch].
     share_x: one time or latitude axis per column; share_y: one value axis per row.
     """
     made = Figure(figsize=(width_in, height_in), layout="constrained", facecolor="white")
     shared: dict[str, Any] = {"sharex": "col" if share_x else False, "sharey": "row" if share_y else False}
     panels = made.subplots(rows, cols, squeeze=False, **shared)
-    grid: AxesGrid = [list(row) for row in panels]
-    for row in grid:
-        for axes in row:
-            dress(axes)
-    return made, grid
-
-
-def dress(axes: Axes) -> None:
-    """Give axes the common look: left and bottom spine, a pale grid behind the data, our colours."""
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
-    for side in ("left", "bottom"):
-        axes.spines[side].set_linewidth(0.8)
-    axes.set_axisbelow(True)
-    axes.grid(True, color=PALE, linewidth=0.6)
-    axes.tick_params(labelsize=TICK_PT, width=0.8, length=3.0)
-    axes.set_prop_cycle(color=list(CYCLE))
+    for axes in panels.flat:
+        axes.spines[["top", "right"]].set_visible(False)
+        axes.spines[["left", "bottom"]].set_linewidth(0.8)
+        axes.set_axisbelow(True)
+        axes.grid(True, color=PALE, linewidth=0.6)
+        axes.tick_params(labelsize=TICK_PT, width=0.8, length=3.0)
+        axes.set_prop_cycle(color=list(CYCLE))
+    return made, [list(row) for row in panels]
 
 
 def label(axes: Axes, *, x: str | None = None, y: str | None = None, title: str | None = None) -> None:
@@ -114,9 +106,11 @@ def legend(axes: Axes, location: str = "best", *, columns: int = 1) -> Legend:
     return made
 
 
-def legend_below(made: Figure, axes: Axes, *, columns: int = 3) -> None:
-    """One legend under all panels, of the series of one of them."""
-    made.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=columns, fontsize=NOTE_PT)
+def legend_below(made: Figure, axes: Axes, *, columns: int = 3, frame: bool = True) -> None:
+    """One legend under all panels, of the series of one of them, drawn as it is."""
+    below: dict[str, Any] = {"loc": "outside lower center", "ncols": columns, "fontsize": NOTE_PT, "frameon": frame}
+    for text in made.legend(*axes.get_legend_handles_labels(), **below).get_texts():
+        _plain(text)
 
 
 def legend_beside(axes: Axes) -> None:

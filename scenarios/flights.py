@@ -19,7 +19,6 @@ from fluxtwin.calib.common.design import assemble
 from fluxtwin.calib.common.records import Calibration, parameter_names
 from fluxtwin.calib.linear.calibrate import LinearFit, calibrate_linear
 from fluxtwin.plots.yaw import YawComparison
-from fluxtwin.scenarios.registry import ATTITUDES
 from fluxtwin.sim.base import files
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.types import FloatArray
@@ -35,6 +34,8 @@ from fluxtwin.sim.telemetry.telemetry_files import write_telemetry
 
 NAMES = parameter_names(with_T=False)
 NEAR_NODE_DEG = 10.0
+ATTITUDES = ("dynamics", "prescribed")
+"""How a vehicle may move: by torques, or as its [attitude] section says; the first is the default."""
 
 
 class Numbers(SimpleNamespace):
@@ -56,11 +57,6 @@ class Flight:
     world: World
     telemetry: Telemetry
     truth: Truth
-
-    @property
-    def latitude_deg(self) -> FloatArray:
-        """(N,) geocentric."""
-        return latitude_deg(self.world)
 
 
 def fly(config: Scenario, world: World | None = None) -> Flight:
@@ -176,9 +172,10 @@ def wrapped_deg(angle_rad: FloatArray) -> FloatArray:
     return np.asarray(np.degrees(np.arctan2(np.sin(angle_rad), np.cos(angle_rad))))
 
 
-def latitude_deg(world: World) -> FloatArray:
+def latitude_deg(along: World | Telemetry) -> FloatArray:
     """(N,) geocentric latitude along the orbit."""
-    return np.asarray(np.degrees(frames.geocentric(frames.rotation_EN(world.time).apply(world.r_N_km))[0]))
+    r_E_km = frames.rotation_EN(along.time).apply(np.array(along.r_N_km))
+    return np.asarray(np.degrees(frames.geocentric(r_E_km)[0]))
 
 
 def papers_regression(telemetry: Telemetry, ground: FieldModel, **options: Any) -> LinearFit:

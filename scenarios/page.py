@@ -1,4 +1,4 @@
-"""What a study hands back: numbers, tables and one page, as records, and that page as Markdown. Nothing here writes a file.
+"""What a study hands back: numbers, tables and one page, as records. Nothing here writes a file.
 
 The front door (`fluxtwin.studies`) writes `summary.json`, figures and `report.html` from these records, so
 a study needs to know nothing of terminals or HTML. Text may hold anything, units in square brackets and
@@ -23,45 +23,6 @@ Cell: TypeAlias = str | float | int | bool | None
 """One cell of a table: text stays as it is, a float is shown with four significant digits, None is blank."""
 
 
-def as_markdown(page: Page, folder: str = "") -> str:
-    """The page; figures are linked as `folder` + NAME.png."""
-    parts = [f"# {page.title}", page.verdict]
-    for section in page.sections:
-        parts.append(f"## {section.title}")
-        parts += [_escaped(paragraph) for paragraph in section.paragraphs]
-        parts += [table_as_markdown(table) for table in section.tables]
-        parts += [f"![{block.name}]({folder}{block.name}.png)\n\n{block.caption}" for block in section.figures]
-    if page.provenance:
-        parts.append("\n".join(["## Provenance", "", *(f"- {key}: {value}" for key, value in page.provenance.items())]))
-    return "\n\n".join(parts) + "\n"
-
-
-def table_as_markdown(table: Table) -> str:
-    """Title, rows and note; numeric columns to the right."""
-    numeric = [all(isinstance(row[place], int | float) for row in table.rows) for place in range(len(table.columns))]
-    lines = [
-        f"**{table.title}**",
-        "",
-        "| " + " | ".join(_escaped(name) for name in table.columns) + " |",
-        "|" + "|".join("--:" if right else "---" for right in numeric) + "|",
-        *("| " + " | ".join(_cell(cell) for cell in row) + " |" for row in table.rows),
-    ]
-    return "\n".join([*lines, "", _escaped(table.note)] if table.note else lines)
-
-
-def _cell(cell: Cell) -> str:
-    if cell is None:
-        return ""
-    if isinstance(cell, bool):
-        return "yes" if cell else "no"
-    return f"{cell:.4g}" if isinstance(cell, float) else _escaped(str(cell))
-
-
-def _escaped(text: str) -> str:
-    """Underscores inside names are left alone by Markdown; bars and angle brackets are not."""
-    return text.replace("|", "\\|").replace("<", "&lt;").replace("*", "\\*")
-
-
 @dataclass(frozen=True)
 class Table:
     """A table to read; every numeric column says its unit in its heading, as `b [mG]`."""
@@ -80,6 +41,11 @@ class Table:
                 )
 
 
+def with_rows(*tables: Table) -> list[Table]:
+    """Those of the tables that have any."""
+    return [table for table in tables if table.rows]
+
+
 @dataclass(frozen=True)
 class FigureBlock:
     """One figure with the caption that makes it readable by itself."""
@@ -87,8 +53,8 @@ class FigureBlock:
     name: str
     """File name without suffix, as `figure_2`."""
     caption: str
-    figure: Figure | bytes | TimeSeries
-    """A matplotlib Figure, the bytes of a PNG file, or series, which the page's script can zoom."""
+    figure: Figure | TimeSeries
+    """A matplotlib Figure, or series, which the page's script can zoom."""
 
 
 @dataclass(frozen=True)

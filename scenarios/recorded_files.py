@@ -59,13 +59,10 @@ def check_folder(data: Path | None, files: Sequence[str]) -> Path:
     wanted = f"--data DIR, a folder with the recorded files {', '.join(files)}"
     if data is None:
         raise BadInput("this study reads recorded flight data, and no folder was given", where="--data", wanted=wanted)
-    folder = Path(data)
-    if not folder.is_dir():
-        raise BadInput("there is no such folder", where=f"--data {folder}", wanted=wanted)
-    missing = [name for name in files if not (folder / name).is_file()]
+    missing = [name for name in files if not (data / name).is_file()]
     if missing:
-        raise BadInput(f"missing there: {', '.join(missing)}", where=f"--data {folder}", wanted=wanted)
-    return folder
+        raise BadInput(f"missing there: {', '.join(missing)}", where=f"--data {data}", wanted=wanted)
+    return data
 
 
 def run_on_files(

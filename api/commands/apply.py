@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Annotated
 
 from fluxtwin.commands import options as of
-from fluxtwin.commands.reading import TelemetryArgument, known_calibration, read
 from fluxtwin.console import Output
 
 BRIEF = "Correct telemetry with a calibration file."
@@ -14,7 +13,7 @@ BRIEF = "Correct telemetry with a calibration file."
 
 def command(
     output: Output,
-    telemetry: TelemetryArgument,
+    telemetry: of.TelemetryArgument,
     out: of.OutOption,
     calibration: Annotated[Path | None, of.option("FILE.toml", "Calibration file.")] = None,
     scenario: Annotated[
@@ -46,7 +45,7 @@ def command(
                 wanted="a calibration file, or a closed scenario",
             )
         output.claim({"--out": (out, outputs.TELEMETRY)}, [telemetry, calibration, scenario, *reading.files])
-        record = read(telemetry, output, reading)
+        record = of.read(telemetry, output, reading)
         known, effects = None, None
         if scenario is not None:
             from fluxtwin import diagnosing
@@ -54,7 +53,7 @@ def command(
             effects = diagnosing.apply_closed(record, scenario, force=output.force)
             corrected = effects.telemetry
         elif calibration is not None:
-            known = known_calibration(calibration, record, output)
+            known = of.known_calibration(calibration, record, output)
             corrected = verbs.apply(record, known, force=output.force)
         change = corrected.mag_B_nT - record.mag_B_nT
         moved = change[np.isfinite(change).all(axis=1)]

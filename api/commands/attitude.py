@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fluxtwin.commands import options as of
-from fluxtwin.commands.reading import TelemetryArgument, known_calibration, read, write_table
 from fluxtwin.console import Output
 
 if TYPE_CHECKING:
@@ -21,7 +20,7 @@ BRIEF = "Estimate three-axis attitude from magnetometer, horizon scanner and sun
 
 def command(
     output: Output,
-    telemetry: TelemetryArgument,
+    telemetry: of.TelemetryArgument,
     calibration: of.CalibrationOption = None,
     out: Annotated[Path | None, of.option("FILE.csv", "Write attitude and sigma row by row.")] = None,
     noise_nt: Annotated[
@@ -49,8 +48,8 @@ def command(
         from fluxtwin import outputs, verbs
 
         output.claim({"--out": (out, outputs.TABLE)}, [telemetry, calibration, field, *reading.files])
-        record = read(telemetry, output, reading)
-        given = None if calibration is None else known_calibration(calibration, record, output)
+        record = of.read(telemetry, output, reading)
+        given = None if calibration is None else of.known_calibration(calibration, record, output)
         found = verbs.attitude(
             record,
             given,
@@ -65,18 +64,17 @@ def command(
         )
         columns = found.to_dict()
         if out is not None:
-            write_table(columns, COLUMNS, out)
+            of.write_table(columns, COLUMNS, out)
     from fluxtwin.presenting import presented
 
-    for line in presented(found).sentences:
-        output.prose(line)
+    output.prose(*presented(found).sentences)
     output.say(f"Next: {_next_step(found, telemetry, calibration, out)}")
     output.say(
         f"{len(found.time)} rows, {int((~found.aided).sum())} without {found.aid}; {int(found.inflated.sum())} outliers"
     )
     for reason, count in found.left_out.items():
         output.say(f"- {count} rows left out: {reason}")
-    output.files([] if out is None else [out])
+    output.files([out])
     output.result({**columns, "written": [] if out is None else [str(out)]})
     if not found.holds:
         raise typer.Exit(1)

@@ -11,17 +11,12 @@ import typer
 
 from fluxtwin.calib import methods
 from fluxtwin.commands import options as of
-from fluxtwin.commands.reading import read
 from fluxtwin.console import Output, manners
 
 if TYPE_CHECKING:
     from fluxtwin.calib.common.fit import Fit
     from fluxtwin.calib.common.pair import Pair
-    from fluxtwin.calib.common.records import Calibration
-    from fluxtwin.calib.common.residuals import ResidualStatistics
     from fluxtwin.outputs import Kind
-    from fluxtwin.scenarios.page import Page
-    from fluxtwin.sim.earth.field import FieldModel
     from fluxtwin.sim.telemetry.record import Telemetry
 
 BRIEF = "Estimate bias, matrix and torquer coupling from telemetry, with or without attitude."
@@ -71,6 +66,7 @@ def command(
         from fluxtwin import outputs, verbs
         from fluxtwin.calib.common.onboard import for_record
         from fluxtwin.calib.common.pair import compare
+        from fluxtwin.calib.common.residuals import predict
         from fluxtwin.sim.base.errors import BadInput
         from fluxtwin.sim.base.workers import answers
 
@@ -88,7 +84,7 @@ def command(
         }
         output.claim(targets, [*telemetry, *(unseen or ()), onboard, field, *reading.files])
         many = len(telemetry) + len(unseen or ()) > 1
-        records = [read(path, output, reading, one_of_many=many) for path in telemetry]
+        records = [of.read(path, output, reading, one_of_many=many) for path in telemetry]
         progress("calibrating", 0.5)
         asked = {**options, "field": field, "degree": degree}
         fits = list(
@@ -97,11 +93,12 @@ def command(
         if both:
             fits.append(verbs.calibrate([one.with_magnetometer(3 - one.magnetometer) for one in records], **asked))
         pair = compare(*fits) if both else None
+        size_only = "attitude" not in methods.ESTIMATORS[fits[0].method].needs
         predicted = {}
         for path in unseen or []:
-            record = read(path, output, reading, one_of_many=many)
+            record = of.read(path, output, reading, one_of_many=many)
             known = for_record(fits[0].calibration, record)
-            predicted[str(path)] = _predict(fits[0], record, known, verbs.as_model(field, degree))
+            predicted[str(path)] = predict(record, known, verbs.as_model(field, degree), size_only=size_only)
         again, made = {**asked, "onboard": onboard}, []
         for fit, to, figure in zip(fits, (out, also), (outputs.RESIDUALS, outputs.SECOND_RESIDUALS), strict=False):
             how = reading._replace(magnetometer=fit.calibration.magnetometer)
@@ -113,7 +110,7 @@ def command(
         if figures is not None:
             written += [_draw(one, figures) for one in made]
         if html is not None:
-            written.append(_write_page([_page(one, telemetry, records) for one in made], pair, html))
+            written.append(_write_page(made, pair, telemetry, records, html))
     for one in made:
         _print(output, one, first=one is made[0])
     if pair is not None:
@@ -151,30 +148,10 @@ def _shared(pair: Pair) -> str:
     )
 
 
-def _predict(fit: Fit, record: Telemetry, known: Calibration, model: FieldModel) -> ResidualStatistics:
-    from fluxtwin.calib.common.residuals import predict
-
-    return predict(record, known, model, size_only="attitude" not in methods.ESTIMATORS[fit.method].needs)
-
-
 def _again(asked: Mapping[str, Any]) -> str:
     """The options of this call, as a command line has them; those that were left out are left out again."""
-    import shlex
-
-    from fluxtwin.calib.methods import offered
-
-    usual = {one.name: one.default for one in offered()} | {"field": "igrf14"}
-    words = []
-    for name, value in asked.items():
-        flag = name.replace("_", "-")
-        if value is None or value == usual.get(name):
-            continue
-        if isinstance(value, bool):
-            words.append(f"--{flag}" if value else f"--no-{flag}")
-        else:
-            for one in value if isinstance(value, list | tuple) else [value]:
-                words += [f"--{flag}", str(one)]
-    return f" {shlex.join(words)}" if words else ""
+    words = of.as_options(asked, {one.name: one.default for one in methods.offered()} | {"field": "igrf14"})
+    return f" {words}" if words else ""
 
 
 def _next_step(fit: Fit, telemetry: list[Path], out: Path | None, reading: of.Reading, asked: Mapping[str, Any]) -> str:
@@ -207,16 +184,15 @@ def _print(output: Output, made: _Made, *, first: bool) -> None:
     if not first:
         output.say(f"\nMagnetometer {known.magnetometer}")
     if fit.verdict is not None:
-        for line in fit.verdict.lines[:-1]:
-            output.prose(line)
+        output.prose(*fit.verdict.lines[:-1])
         output.say(f"Next: {made.next_step}\n")
     output.say(f"{known.method}; field {known.field_model}; {known.samples} samples")
     output.tables(calibration_page.tables(fit))
     what = "per component" if fit.residuals_nT.shape[1] == 3 else "in |B|"
     output.say(f"residual {known.sigma_nT:.1f} nT {what}, 1 sigma; covariance: {known.covariance_kind}")
     impossible = _is_impossible(fit)
-    for line in () if fit.coverage is None or impossible else fit.coverage.lines:
-        output.prose(line)
+    if fit.coverage is not None and not impossible:
+        output.prose(*fit.coverage.lines)
     for message in () if manners.quiet or impossible else fit.messages:  # how a fit that is none was made helps nobody
         output.prose(f"- {message}", indent="  ")
     if len(fit.observability) > 1:  # a single one is in the verdict
@@ -241,17 +217,15 @@ def _draw(made: _Made, folder: Path) -> Path:
     return write_bytes(writable_folder(folder) / made.figure.inside, picture)
 
 
-def _page(made: _Made, telemetry: list[Path], records: list[Telemetry]) -> Page:
+def _write_page(
+    made: list[_Made], pair: Pair | None, telemetry: list[Path], records: list[Telemetry], path: Path
+) -> Path:
     from fluxtwin.calib.common.design import joined
-    from fluxtwin.calibration_page import calibration_page
-
-    title = f"Calibration: {', '.join(path.name for path in telemetry)}"
-    record = joined(records).with_magnetometer(made.fit.calibration.magnetometer)
-    return calibration_page(made.fit, title, next_step=made.next_step, record=record, refused=made.refused)
-
-
-def _write_page(pages: list[Page], pair: Pair | None, path: Path) -> Path:
-    from fluxtwin.calibration_page import pair_page
+    from fluxtwin.calibration_page import calibration_page, pair_page
     from fluxtwin.report import write_page
 
+    title, pages = f"Calibration: {', '.join(path.name for path in telemetry)}", []
+    for one in made:
+        record = joined(records).with_magnetometer(one.fit.calibration.magnetometer)
+        pages.append(calibration_page(one.fit, title, next_step=one.next_step, record=record, refused=one.refused))
     return write_page(pages[0] if pair is None else pair_page(pages[0], pages[1], _shared(pair)), path)

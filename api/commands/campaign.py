@@ -32,25 +32,19 @@ def command(
     try:
         with output.progress(f"reading {scenario}") as progress:
             from fluxtwin import campaign_page, campaigning
-            from fluxtwin.report import png_bytes, write_page
-            from fluxtwin.sim.base.files import write_bytes
+            from fluxtwin.report import write_figures, write_page
 
             how = {**workers._asdict(), "resume": resume}
             flown = campaigning.campaign(scenario, runs, out, seed=seed, progress=progress, **how)
             progress("drawing", 0.99)
-            write_page(campaign_page.campaign_page(flown), out / "report.html")
-            figure = campaign_page.power_figure(flown)
-            if figure is not None:
-                write_bytes(out / "power.png", png_bytes(figure))
+            page = campaign_page.campaign_page(flown)
+            write_page(page, out / "report.html")
+            write_figures(page, out)
     except KeyboardInterrupt:
-        from fluxtwin.campaigning import whole_parts
-
-        if kept := whole_parts(out):
-            words = ["campaign", scenario, "--runs", runs, "--out", out]
-            of.say_how_to_go_on(output, f"{kept} parts are kept in {out}", words, seed, workers)
+        kept, words = len(list(out.glob("part-*.json"))), ["campaign", scenario, "--runs", runs, "--out", out]
+        of.say_how_to_go_on(output, kept, f"parts are kept in {out}", words, seed, workers)
         raise
-    for line in campaign_page.sentences(flown.summary):
-        output.prose(line)
+    output.prose(*campaign_page.sentences(flown.summary))
     for table in campaign_page.tables(flown.summary):
         output.say()
         output.tables([table])

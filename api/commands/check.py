@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fluxtwin.commands import options as of
-from fluxtwin.commands.reading import TelemetryArgument
 from fluxtwin.console import Output, manners
 
 if TYPE_CHECKING:
@@ -21,7 +20,7 @@ BRIEF = "Are units, frames, axes and clock what the file claims? Names the class
 
 def command(
     output: Output,
-    telemetry: TelemetryArgument,
+    telemetry: of.TelemetryArgument,
     repair: Annotated[Path | None, of.option("OUT", "Write the rows sorted by time, without exact duplicates.")] = None,
     onboard: Annotated[
         Path | None, of.option("FILE", "An on-board calibration: was it applied to these readings?")
@@ -69,7 +68,7 @@ def command(
     if mended is not None and after is not None:
         _print(output, f"{repair}: {after.samples} rows, repaired", after)
         record |= {"repair": mended.to_dict(), "repaired": after.to_dict(), "written": [str(repair)]}
-    output.files([] if html is None else [html])
+    output.files([html])
     output.result(record)
     raise typer.Exit(found.exit_status)
 

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 from fluxtwin.commands import options as of
-from fluxtwin.commands.reading import TelemetryArgument, read
 from fluxtwin.console import Output
 
 BRIEF = "Write telemetry in another format, completely or in part."
 
 
-def command(output: Output, telemetry: TelemetryArgument, out: of.OutOption, reading: of.Reading = of.READING) -> None:
+def command(
+    output: Output, telemetry: of.TelemetryArgument, out: of.OutOption, reading: of.Reading = of.READING
+) -> None:
     """Read telemetry, foreign files with --map, and write it in the format that the name of --out ends in."""
     with output.progress(f"reading {telemetry}"):
         from fluxtwin import outputs
         from fluxtwin.sim.telemetry.telemetry_files import write_telemetry
 
         output.claim({"--out": (out, outputs.TELEMETRY)}, [telemetry, *reading.files])
-        record = read(telemetry, output, reading)
+        record = of.read(telemetry, output, reading)
         write_telemetry(record, out)
     output.say(f"{out}: {len(record)} rows")
     output.result({"rows": len(record), "written": [str(out)]})

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from fluxtwin.commands import options as of
-from fluxtwin.commands.reading import read
 from fluxtwin.console import Output
 
 if TYPE_CHECKING:
@@ -84,7 +83,7 @@ def command(
         if close is not None and scenario is None and not reading.whole:
             wanted = "a file of these rows alone (fluxtwin convert), or --scenario"
             raise BadInput("the scenario would replay the whole file", where="--close", wanted=wanted)
-        record = read(telemetry[0], output, reading)
+        record = of.read(telemetry[0], output, reading)
         diagnosis = diagnosing.diagnose(record, scenario=scenario, progress=progress, **asked)
         scene = None
         if close is not None:
@@ -146,14 +145,13 @@ def _several(
     with output.progress(f"reading {telemetry[0]}") as progress:
         from fluxtwin import diagnosis_page, fleets
 
-        records = {str(path): read(path, output, reading, one_of_many=True) for path in telemetry}
+        records = {str(path): of.read(path, output, reading, one_of_many=True) for path in telemetry}
         found = fleets.diagnoses(records, asked, progress=progress, **workers._asdict())
     for name, diagnosis in found.items():
         for note in diagnosis.notes:
             output.note(f"note: {name}: {note}")
-        output.prose(f"{name}: {diagnosis.sentence}", indent="  ")
-        for line in diagnosis_page.lines(diagnosis):
-            output.prose(f"  {line}", indent="  ")
+        lines = [f"  {line}" for line in diagnosis_page.lines(diagnosis)]
+        output.prose(f"{name}: {diagnosis.sentence}", *lines, indent="  ")
     output.result({"records": {name: diagnosis.to_dict() for name, diagnosis in found.items()}})
 
 
@@ -164,10 +162,9 @@ def _fleet(
     with output.progress(f"reading {telemetry[0]}") as progress:
         from fluxtwin import fleets
 
-        records = {str(path): read(path, output, reading, one_of_many=True) for path in telemetry}
+        records = {str(path): of.read(path, output, reading, one_of_many=True) for path in telemetry}
         found = fleets.fleet(records, progress=progress, **asked, **workers._asdict())
-    for line in found.lines:
-        output.prose(line)
+    output.prose(*found.lines)
     output.say()
     output.tables(fleets.tables(found))
     output.result(found.to_dict())
@@ -192,11 +189,9 @@ def _say(output: Output, diagnosis: Diagnosis, html: Path | None, close: Path | 
     if close is not None and not closed:
         why = "what is named is not in the readings" if diagnosis.effects else "no effect is named"
         output.note(f"note: {why}, so there is nothing to close: {close} is not written")
-    output.prose(diagnosis.sentence)
-    for line in diagnosis_page.lines(diagnosis):
-        output.prose(line)
+    output.prose(diagnosis.sentence, *diagnosis_page.lines(diagnosis))
     output.say()
     output.tables(diagnosis_page.tables(diagnosis))
-    output.files([path for path in (html, close if closed else None) if path is not None], "written: ")
+    output.files([html, close if closed else None], "written: ")
     if closed and close is not None:
         output.prose(f"Next: {diagnosis_page.CORRECT.replace('CLOSED.toml', str(close))}")

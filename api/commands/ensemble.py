@@ -54,9 +54,8 @@ def command(
     except KeyboardInterrupt:
         from fluxtwin.sim.run.ensemble.run import whole_chunks
 
-        if kept := whole_chunks(out):
-            words = ["ensemble", scenario, "--vehicles", vehicles, "--out", out]
-            of.say_how_to_go_on(output, f"{kept} whole chunks are kept in {out}", words, seed, workers)
+        words = ["ensemble", scenario, "--vehicles", vehicles, "--out", out]
+        of.say_how_to_go_on(output, whole_chunks(out), f"whole chunks are kept in {out}", words, seed, workers)
         raise
     _show(output, flown, drawn)
 
@@ -84,18 +83,15 @@ def _extract(output: Output, scenario: Path, out: Path, seed: int | None, vehicl
 def _draw(flown: Ensemble) -> list[Path]:
     """The page, and the picture of the envelope, where there is a pointing."""
     from fluxtwin.flying import ensemble_sentence, ensemble_table
-    from fluxtwin.report import png_bytes, write_page
+    from fluxtwin.report import write_figures, write_page
     from fluxtwin.scenarios.page import FigureBlock, Page, PageSection
-    from fluxtwin.sim.base import files
 
-    found, around, blocks, written = flown.summary, flown.envelope, [], []
+    found, around, blocks = flown.summary, flown.envelope, []
     if around is not None and around.time.size > 1:
         from fluxtwin.plots.ensemble import pointing_envelope
 
         flew = flown.plan.vehicles - found["lost"]
-        parts = (around.p5_deg, around.median_deg, around.p95_deg, around.max_deg)
-        drawn = pointing_envelope(around.time, *parts, title=flown.plan.scenario.name, vehicles=flew)
-        written.append(files.write_bytes(flown.folder / "envelope.png", png_bytes(drawn)))
+        drawn = pointing_envelope(around, title=flown.plan.scenario.name, vehicles=flew)
         caption = "Pointing error at each time over the vehicles; the worst of each moment need not be one vehicle."
         blocks = [FigureBlock("envelope", caption, drawn)]
     lost = [f"lost: vehicle {one['vehicle']}: {one['reason']}" for one in found["why_lost"][:3]]
@@ -109,7 +105,7 @@ def _draw(flown: Ensemble) -> list[Path]:
         sections=[PageSection("What came out", lost, [ensemble_table(flown)], blocks)],
         provenance={"seed": str(found["seed"]), "span": " to ".join(found["span"]), "samples": str(found["samples"])},
     )
-    return [*written, write_page(page, flown.folder / "report.html")]
+    return [*write_figures(page, flown.folder), write_page(page, flown.folder / "report.html")]
 
 
 def _show(output: Output, flown: Ensemble, drawn: list[Path]) -> None:

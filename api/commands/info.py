@@ -43,7 +43,10 @@ def _print(output: Output, one: Inventory) -> None:
             output.say(f"Next: fluxtwin map {one.source} --out map.toml")
         output.say()
         return
-    output.say(f"{one.source}: {one.rows} rows, {one.start} to {one.end}{_span(one)}")
+    span = ""
+    if one.span_s is not None and one.step_s is not None:
+        span = f" ({one.span_s / 3600.0:.4g} h), every {one.step_s:.4g} s"
+    output.say(f"{one.source}: {one.rows} rows, {one.start} to {one.end}{span}")
     rows = [
         (
             column.name,
@@ -68,12 +71,6 @@ def _print(output: Output, one: Inventory) -> None:
         for line in text.split("; ") if key == "notices" else [text]:
             output.prose(f"{key}: {line}", indent="  ")
     output.say()
-
-
-def _span(one: Inventory) -> str:
-    if one.span_s is None or one.step_s is None:
-        return ""
-    return f" ({one.span_s / 3600.0:.4g} h), every {one.step_s:.4g} s"
 
 
 def _passes(output: Output, one: Inventory) -> None:

@@ -28,12 +28,10 @@ def command(
     from fluxtwin import outputs
     from fluxtwin.sim.base import files as storage
     from fluxtwin.sim.base.errors import BadInput
-    from fluxtwin.sim.telemetry import column_map_draft
+    from fluxtwin.sim.telemetry import column_map, column_map_draft
 
     output.claim({"--out": (out, outputs.COLUMN_MAP)}, files or [])
     if preset == "list":
-        from fluxtwin.sim.telemetry import column_map
-
         rows = [
             (f"--map preset:{name}", _preset(name).splitlines()[0].removeprefix("# ")) for name in column_map.presets()
         ]

@@ -1,10 +1,10 @@
-"""The options that several commands share, spelled once."""
+"""What commands share: their options, spelled once, and how they read telemetry and a calibration and write a table."""
 
 from __future__ import annotations
 
 import inspect
 import shlex
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeAlias, get_type_hints
 
@@ -12,9 +12,12 @@ import typer
 
 from fluxtwin.calib.common.options import OPTIONS
 from fluxtwin.console import Output, manners
+from fluxtwin.sim.base.processes import stop_if_asked
 
 if TYPE_CHECKING:
+    from fluxtwin.calib.common.records import Calibration
     from fluxtwin.calib.methods import Offered
+    from fluxtwin.sim.telemetry.record import Telemetry
 
 _KEYWORD = inspect.Parameter.KEYWORD_ONLY
 
@@ -37,6 +40,9 @@ def declared_option(name: str) -> Any:
     )
 
 
+TelemetryArgument: TypeAlias = Annotated[
+    Path, argument("TELEMETRY", "A .nc, .csv or .csv.gz file, or a foreign file or folder with --map.")
+]
 AttitudeSigmaOption: TypeAlias = Annotated[float | None, declared_option("attitude_sigma_deg")]
 AttitudeTauOption: TypeAlias = Annotated[float | None, declared_option("attitude_tau_s")]
 CalibrationOption: TypeAlias = Annotated[
@@ -107,10 +113,8 @@ class Reading(NamedTuple):
     @property
     def words(self) -> str:
         """The options that are given, as a shell takes them."""
-        flags = ("--map", "--tle", "--attitude", "--max-samples", "--from", "--to", "--where", "--magnetometer")
-        usual = zip(flags, self, READING, strict=True)
-        given = ((flag, value) for flag, value, default in usual if value != default)
-        return shlex.join(str(word) for pair in given for word in pair)
+        names = ("map", "tle", "attitude", "max_samples", "from", "to", "where", "magnetometer")
+        return as_options(dict(zip(names, self, strict=True)), {"magnetometer": 1})
 
 
 READING = Reading()
@@ -129,8 +133,7 @@ class Assumed(NamedTuple):
     @property
     def words(self) -> str:
         """The options that are given, as a shell takes them."""
-        given = ((name, value) for name, value in self._asdict().items() if value is not None)
-        return shlex.join(word for name, value in given for word in (f"--{name.replace('_', '-')}", str(value)))
+        return as_options(self._asdict())
 
 
 ASSUMED = Assumed()
@@ -146,11 +149,46 @@ class Workers(NamedTuple):
 WORKERS = Workers()
 
 
-def say_how_to_go_on(output: Output, kept: str, command: Iterable[object], seed: int | None, workers: Workers) -> None:
-    """After an interruption: what is kept, and the command that takes up the work."""
+def read(path: Path, output: Output, reading: Reading, *, one_of_many: bool = False) -> Telemetry:
+    """The record in `path`; the reader's notices go to standard error, one a line, with the file's name among many."""
+    from fluxtwin.sim.telemetry.telemetry_files import read_telemetry
+
+    stop_if_asked()  # importing took its time
+    record = read_telemetry(path, **reading._asdict())
+    stop_if_asked()
+    for notice in filter(None, record.provenance.get("notices", "").split("; ")):
+        output.note(f"note: {path.name}: {notice}" if one_of_many else f"note: {notice}")
+    return record
+
+
+def known_calibration(path: Path, record: Telemetry, output: Output) -> Calibration:
+    """The calibration in a file, with a note of what --force waives for this record."""
+    from fluxtwin.calib.common.apply import waived
+    from fluxtwin.calib.common.records import Calibration
+
+    known = Calibration.from_toml(path)
+    if output.force and (refusal := waived(record, known)) is not None:
+        output.note(f"note: applied anyway, by --force: {refusal}")
+    return known
+
+
+def write_table(columns: Mapping[str, Sequence[object]], names: Sequence[str], path: Path) -> None:
+    """The named columns as CSV; a number that is none is blank."""
+    from fluxtwin.sim.base.files import write_text
+
+    cells = zip(*(columns[name] for name in names), strict=True)
+    lines = [",".join("" if cell is None or cell != cell else str(cell) for cell in row) for row in cells]
+    write_text(path, "\n".join([",".join(names), *lines, ""]))
+
+
+def say_how_to_go_on(
+    output: Output, kept: int, what: str, command: Iterable[object], seed: int | None, workers: Workers
+) -> None:
+    """After an interruption: what is kept, if anything is, and the command that takes up the work."""
     words = [*command, *([] if seed is None else ["--seed", seed])]
     words += [] if workers.scheduler is None else ["--scheduler", workers.scheduler]
-    output.note(f"{kept}; go on with: {shlex.join(map(str, ['fluxtwin', *words, '--resume']))}")
+    if kept:
+        output.note(f"{kept} {what}; go on with: {shlex.join(map(str, ['fluxtwin', *words, '--resume']))}")
 
 
 class _Common(NamedTuple):
@@ -167,6 +205,21 @@ class _Common(NamedTuple):
     json: Annotated[str | None, option("FILE", "Write the result as JSON; '-' is standard output.")] = None
     quiet: QuietOption = False
     verbose: VerboseOption = False
+
+
+def as_options(given: Mapping[str, Any], usual: Mapping[str, Any] | None = None) -> str:
+    """Options by name as a shell takes them, without those that are None or have their usual value."""
+    words = []
+    for name, value in given.items():
+        flag = name.replace("_", "-")
+        if value is None or (usual is not None and value == usual.get(name)):
+            continue
+        if isinstance(value, bool):
+            words.append(f"--{flag}" if value else f"--no-{flag}")
+        else:
+            for one in value if isinstance(value, list | tuple) else [value]:
+                words += [f"--{flag}", str(one)]
+    return shlex.join(words)
 
 
 def names_in(given: str) -> list[str]:

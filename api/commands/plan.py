@@ -42,7 +42,6 @@ def command(
     """
     with output.progress(f"reading {telemetry}") as progress:
         from fluxtwin import outputs, plan_page, planning
-        from fluxtwin.commands.reading import read
         from fluxtwin.gap.records.plan import Plan
         from fluxtwin.report import write_page
         from fluxtwin.sim.scenario.scenario import save_scenario
@@ -53,7 +52,7 @@ def command(
         )
         is_json = telemetry.suffix.lower() == ".json"
         found = planning.plan(
-            telemetry if is_json else read(telemetry, output, reading),
+            telemetry if is_json else of.read(telemetry, output, reading),
             limits=limits,
             scenario=scenario,
             names=of.names_in(about),

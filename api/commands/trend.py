@@ -9,7 +9,6 @@ import typer
 
 from fluxtwin.calib import methods
 from fluxtwin.commands import options as of
-from fluxtwin.commands.reading import read
 from fluxtwin.console import Output
 
 BRIEF = "Test whether a calibration still holds: compare calibrations, or telemetry of several days."
@@ -46,15 +45,15 @@ def command(
         targets = {"--out": (out, outputs.CALIBRATION), "--html": (html, outputs.PAGE)}
         output.claim(targets, [*files, field, *reading.files])
         given = [
-            path if path.suffix.lower() == ".toml" else read(path, output, reading, one_of_many=True) for path in files
+            path if path.suffix.lower() == ".toml" else of.read(path, output, reading, one_of_many=True)
+            for path in files
         ]
         found = trending.trend(given, every_h=every, field=field, degree=degree, progress=progress, **options)
         written = [] if out is None else [found.last.to_toml(out)]
         if html is not None:
             progress("drawing", 0.9)
             written.append(write_page(trending.trend_page(found), html))
-    for line in found.lines:
-        output.prose(line)
+    output.prose(*found.lines)
     output.say()
     output.tables([trending.trend_table(found)])
     output.files(written)

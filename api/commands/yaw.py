@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Annotated
 
 from fluxtwin.commands import options as of
-from fluxtwin.commands.reading import TelemetryArgument, known_calibration, read, write_table
 from fluxtwin.console import Output
 
 COLUMNS = ("time", "yaw_deg", "yaw_first_order_deg", "sigma_deg", "yaw_reference_deg")
@@ -15,7 +14,7 @@ BRIEF = "Compute yaw from magnetometer, roll and pitch, with its sigma."
 
 def command(
     output: Output,
-    telemetry: TelemetryArgument,
+    telemetry: of.TelemetryArgument,
     calibration: of.CalibrationOption = None,
     out: Annotated[Path | None, of.option("FILE.csv", "Write yaw row by row.")] = None,
     sigma_nt: Annotated[
@@ -34,8 +33,8 @@ def command(
         from fluxtwin.presenting import presented
 
         output.claim({"--out": (out, outputs.TABLE)}, [telemetry, calibration, field, *reading.files])
-        record = read(telemetry, output, reading)
-        given = None if calibration is None else known_calibration(calibration, record, output)
+        record = of.read(telemetry, output, reading)
+        given = None if calibration is None else of.known_calibration(calibration, record, output)
         progress("yaw", 0.5)
         solution = verbs.yaw(
             record,
@@ -48,10 +47,10 @@ def command(
             force=output.force,
         )
         if out is not None:
-            write_table(solution.to_dict(), COLUMNS, out)
+            of.write_table(solution.to_dict(), COLUMNS, out)
     seen = presented(solution)
     for line in seen.sentences:
         output.say(line)
     output.tables(seen.tables)
-    output.files([] if out is None else [out])
+    output.files([out])
     output.result({"summary": solution.summary, **solution.to_dict()})

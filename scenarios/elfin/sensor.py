@@ -12,21 +12,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
+from numpy.polynomial.polynomial import polyval
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from fluxtwin.scenarios.elfin.record import Flight
-from fluxtwin.scenarios.elfin.zone_fit import ZoneFit, powers, rms, turning
+from fluxtwin.scenarios.elfin.zone_fit import ZoneFit, rms, turning
 from fluxtwin.scenarios.flights import Numbers
 from fluxtwin.scenarios.recorded_files import Settings
 from fluxtwin.sim.base.progress import Progress, silent
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import frames
 from fluxtwin.sim.effects.drivers import STANDARD_SWING_K
-from fluxtwin.sim.telemetry.record import Telemetry
+from fluxtwin.sim.telemetry.record import Telemetry, concatenate
 
 _RECORD_EVERY = 11
 _BIAS_UNIT_NT = 1e3
@@ -81,7 +81,7 @@ class Sensor:
 
     def in_body_nT(self, rows: Rows, phase: FloatArray) -> FloatArray:
         """(N, 3) field as the turned sensor sees it, body axes."""
-        u = turning(rows.field_S_nT, rows.base_rad + powers(rows.share, phase.size) @ phase)
+        u = turning(rows.field_S_nT, rows.base_rad + polyval(rows.share, phase))
         seen = np.stack([u.real, u.imag, rows.field_S_nT[:, 2]], axis=1)
         if not self.turn_rad.any():
             return seen
@@ -209,8 +209,7 @@ def compare(
             begin = start(own, len(lags_s), settings.phase_degree)
             fitted.append((lags_s, rows, fit_joint(rows, begin, free)))
         best = min(fitted, key=lambda one: one[2].whole_nT)
-        folds = [_fold(fitted, free, left_out) for left_out in range(len(own))]
-        unseen_nT, fold_lags_s = zip(*folds, strict=True)
+        unseen_nT, unseen = zip(*(_fold(flight, fitted, free, left_out) for left_out in range(len(own))), strict=True)
         way = Numbers(
             # A model of what follows sun and shadow, with the lags it may choose from.
             name=name,
@@ -219,38 +218,30 @@ def compare(
             # Fitted to all zones, and the lags chosen with them.
             within=best[2],
             lags_s=best[0],
-            # Each zone fitted without it, rms length of the residual vector, with the lags chosen without it; rms over them.
+            # Each zone by a sensor and lags found without it: rms length of the residual; minutes, and the residual (N, 3);
+            # rms over the zones.
             unseen_nT=unseen_nT,
-            fold_lags_s=fold_lags_s,
+            unseen=unseen,
             unseen_whole_nT=np.sqrt(np.mean(np.square(unseen_nT))),
         )
         ways.append(way)
     return tuple(ways)
 
 
-def _fold(fitted: Sequence[tuple[Lags, list[Rows], Joint]], free: tuple[str, ...], left_out: int) -> tuple[float, Lags]:
+def _fold(
+    flight: Flight, fitted: Sequence[tuple[Lags, list[Rows], Joint]], free: tuple[str, ...], left_out: int
+) -> tuple[float, tuple[FloatArray, FloatArray]]:
     """The lags are chosen without the zone too; the other zones' phases start where they are with it."""
     trained = []
-    for lags_s, rows, whole in fitted:
+    for _, rows, whole in fitted:
         rest = [number for number in range(len(rows)) if number != left_out]
         begin = (whole.sensor, [whole.phases[number] for number in rest])
         joint = fit_joint([rows[number] for number in rest], begin, free)
-        trained.append((joint, lags_s, rows[left_out], whole.phases[left_out]))
-    joint, lags_s, unseen, phase = min(trained, key=lambda one: one[0].whole_nT)
-    return seen_by(joint.sensor, unseen, phase).rms_nT[0], lags_s
-
-
-def residuals_nT(
-    flight: Flight, own: Sequence[ZoneFit], way: Numbers, left_out: int, settings: Settings
-) -> tuple[FloatArray, FloatArray]:
-    """Minutes and residual (N, 3) of a zone by the sensor fitted to the others, for a figure."""
-    lags_s = way.fold_lags_s[left_out]
-    rows = rows_of(flight, own, lags_s, settings.every)
-    sensor, phases = start(own, len(lags_s), settings.phase_degree)
-    one, phase = rows.pop(left_out), phases.pop(left_out)
-    seen = seen_by(fit_joint(rows, (sensor, phases), way.free).sensor, one, phase)
-    half_s = 0.5 * float(np.ptp(flight.zones[left_out].seconds))
-    return half_s * (1.0 + one.share) / 60.0, one.reading_nT - seen.sensor.reading_nT(one, seen.phases[0])
+        trained.append((joint, rows[left_out], whole.phases[left_out]))
+    joint, one, phase = min(trained, key=lambda one: one[0].whole_nT)
+    seen = seen_by(joint.sensor, one, phase)
+    minutes = np.ptp(flight.zones[left_out].seconds) * (1.0 + one.share) / 120.0
+    return seen.rms_nT[0], (minutes, one.reading_nT - seen.sensor.reading_nT(one, seen.phases[0]))
 
 
 def record_of(flight: Flight, own: Sequence[ZoneFit], lags_s: Sequence[float], settings: Settings) -> Telemetry:
@@ -263,23 +254,21 @@ def record_of(flight: Flight, own: Sequence[ZoneFit], lags_s: Sequence[float], s
     """
     static = fit_joint(rows_of(flight, own, (), settings.every), start(own, 0, settings.phase_degree), ())
     inverse = np.linalg.inv(static.sensor.matrix)
-    parts: dict[str, list[Any]] = {}
+    parts = []
     for zone, fit, phase in zip(flight.zones, own, static.phases, strict=True):
         rows = np.flatnonzero(zone.used)[::_RECORD_EVERY]
         assert zone.telemetry.r_N_km is not None
         position = np.asarray(zone.telemetry.r_N_km)
-        angle = fit.rate_rad_s * zone.late_s + powers(zone.share, phase.size) @ phase
+        angle = fit.rate_rad_s * zone.late_s + polyval(zone.share, phase)
         R_BN = Rotation.from_rotvec(np.outer(-angle, [0.0, 0.0, 1.0])) * Rotation.from_matrix(zone.spin_N)
-        recorded: dict[str, Any] = {
-            "time": zone.telemetry.time[rows],
-            "mag_B_nT": (zone.reading_nT[rows] - static.sensor.offset_nT) @ inverse.T,
-            "r_N_km": position[rows],
-            "v_N_km_s": np.gradient(position, zone.seconds, axis=0)[rows],
-            "q_NB": frames.q_from_rotation(R_BN[rows]),
-            "temperature_degC": STANDARD_SWING_K * flight.day.lagged(zone.seconds[rows], *lags_s),
-            "sunlit": (zone.lit[rows] > 0.5).astype(np.float64),
-        }
-        for name, value in recorded.items():
-            parts.setdefault(name, []).append(value)
-    whole: dict[str, Any] = {name: np.concatenate(values) for name, values in parts.items()}
-    return Telemetry(**whole)
+        record = Telemetry(
+            time=zone.telemetry.time[rows],
+            mag_B_nT=(zone.reading_nT[rows] - static.sensor.offset_nT) @ inverse.T,
+            r_N_km=position[rows],
+            v_N_km_s=np.gradient(position, zone.seconds, axis=0)[rows],
+            q_NB=frames.q_from_rotation(R_BN[rows]),
+            temperature_degC=STANDARD_SWING_K * flight.day.lagged(zone.seconds[rows], *lags_s),
+            sunlit=(zone.lit[rows] > 0.5).astype(np.float64),
+        )
+        parts.append(record)
+    return concatenate(parts)

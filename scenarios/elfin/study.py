@@ -15,7 +15,7 @@ from fluxtwin.calib.scalar.calibrate import calibrate_scalar
 from fluxtwin.gap.diagnose import diagnose
 from fluxtwin.gap.problem.problem import Budget
 from fluxtwin.scenarios.elfin.record import Day, Slip, Zone, read_flight
-from fluxtwin.scenarios.elfin.sensor import Lags, compare, record_of, residuals_nT
+from fluxtwin.scenarios.elfin.sensor import Lags, compare, record_of
 from fluxtwin.scenarios.elfin.zone_fit import KINDS, ZoneFit, fit_zone, local_noise_nT, responses
 from fluxtwin.scenarios.flights import Numbers, rms
 from fluxtwin.scenarios.page import Cell, StudyResult
@@ -84,9 +84,7 @@ def compute(folder: Path, settings: Settings, progress: Progress = silent) -> Nu
         shadow_s=flight.day.shadow_s(float(flight.zones[0].seconds[0]))[1],
         # Of two zones, by number: minutes and residual of the static and of the best model, both fitted without the zone.
         shown={
-            flight.zones[place].number: [
-                one for way in (ways[0], best) for one in residuals_nT(flight, own, way, place, settings)
-            ]
+            flight.zones[place].number: [one for way in (ways[0], best) for one in way.unseen[place]]
             for place in (dark[len(dark) // 2], sunny[-1] if sunny else dark[-1])
         },
     )

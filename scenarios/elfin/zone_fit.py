@@ -59,7 +59,7 @@ def fit_zone(zone: Zone, kind: str, settings: Settings, rate_rad_s: float | None
     """The fit; the phase is a polynomial of `phase_degree`."""
     rate = spin_rate(zone, settings) if rate_rad_s is None else rate_rad_s
     H, B, used, share = zone.field_S_nT, zone.reading_nT, zone.used, zone.share
-    bends = powers(share, settings.phase_degree + 1)[:, 1:]
+    bends = np.vander(share, settings.phase_degree + 1, increasing=True)[:, 1:]
 
     def at(p: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Coefficients of the columns, and the residual."""
@@ -84,11 +84,6 @@ def fit_zone(zone: Zone, kind: str, settings: Settings, rate_rad_s: float | None
 def rms(residual_nT: FloatArray) -> float:
     """Of the length of the residual vector."""
     return float(np.sqrt((residual_nT**2).sum(axis=1).mean()))
-
-
-def powers(share: FloatArray, count: int) -> FloatArray:
-    """(N, count) 1, share, share^2, ..."""
-    return np.stack([share**power for power in range(count)], axis=1)
 
 
 def turning(field_S_nT: FloatArray, phase_rad: FloatArray) -> ComplexArray:

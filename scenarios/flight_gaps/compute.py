@@ -1,31 +1,34 @@
-"""The computing half of the study: cases, their diagnoses, and least-squares tables. Nothing is drawn or written here."""
+"""The computing half of the study: cases, their diagnoses, and least-squares tables. Nothing is drawn or written here.
+
+In plain least squares nothing is whitened, penalised or searched. It is the look that a person takes first, and the table
+next to which the diagnosis must be read: many names explain much of one and the same residual.
+"""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from fluxtwin.gap.diagnose import diagnose
-from fluxtwin.gap.problem.problem import DEFAULT_MODELLED
+from fluxtwin.gap.problem.problem import DEFAULT_MODELLED, pose
 from fluxtwin.gap.records.diagnosis import Diagnosis
 from fluxtwin.scenarios.flight_field.tracks import read_kp, read_magsat, read_swarm
 from fluxtwin.scenarios.flight_gaps import records
-from fluxtwin.scenarios.flight_gaps.least_squares import LeastSquares, Shares, alone, coefficients, visible_nT
-from fluxtwin.scenarios.flight_gaps.records import field_model
-from fluxtwin.scenarios.flights import Numbers, rms
+from fluxtwin.scenarios.flight_gaps.records import Compensation, field_model
+from fluxtwin.scenarios.flights import Numbers, latitude_deg, rms
 from fluxtwin.scenarios.recorded_files import Settings
 from fluxtwin.sim.base.progress import Progress, part_of
 from fluxtwin.sim.base.toml_input import Strict, read_model
 from fluxtwin.sim.base.types import BoolArray, FloatArray
-from fluxtwin.sim.earth import frames
 from fluxtwin.sim.earth.field_models import FieldModel
 from fluxtwin.sim.effects.ambient_field import FieldTruncation
 from fluxtwin.sim.effects.base import SignalEffect
 from fluxtwin.sim.effects.catalogue import find_effect
+from fluxtwin.sim.effects.chain import jacobian
 from fluxtwin.sim.telemetry.record import Telemetry
 
 PACKAGED = Path(__file__).parent / "cases.toml"
@@ -34,6 +37,7 @@ STORM_NT = 50.0
 """The ring current whose visibility is counted."""
 _MISSING_NT = 1e5
 _ORBIT_S = 5640
+_RCOND = 1e-12
 
 
 class Wanted(Strict):
@@ -121,6 +125,71 @@ def magsat_record(folder: Path, settings: Settings, axes: str = "orbit") -> Tele
     """MAGSAT's rows at the chosen spacing."""
     track = read_magsat(folder / settings.magsat.file)
     return records.of_track(track, axes).select(slice(None, None, settings.magsat.every))
+
+
+@dataclass(frozen=True)
+class Share:
+    """What remains of a residual once effects are fitted in addition to what is modelled."""
+
+    effects: tuple[str, ...]
+    """Fitted together."""
+    parameters: int
+    left_nT: float
+    """rms per component."""
+    sizes: tuple[float, ...]
+    """The fitted value of each effect with one parameter, else its largest, in units of that parameter."""
+
+    def in_words(self, digits: int = 3) -> str:
+        """The values with their units."""
+        units = [find_effect(name).parameters[0].unit for name, _ in zip(self.effects, self.sizes, strict=False)]
+        values = (f"{size:.{digits}g}" for size in self.sizes)
+        return ", ".join(v if u == "1" else f"{v} {u}" for v, u in zip(values, units, strict=True))
+
+
+@dataclass(frozen=True)
+class Shares:
+    """The table of one record."""
+
+    raw_nT: float
+    """rms per component with nothing fitted."""
+    modelled: tuple[str, ...]
+    base_nT: float
+    """rms per component with what is modelled fitted."""
+    shares: tuple[Share, ...]
+
+    def share(self, *effects: str) -> Share:
+        """Of those effects, fitted together."""
+        return next(share for share in self.shares if share.effects == effects)
+
+    def left_nT(self, *effects: str) -> float:
+        """What remains with those effects fitted as well."""
+        return self.share(*effects).left_nT
+
+    def size(self, *effects: str) -> float:
+        """The first fitted value of those effects."""
+        return self.share(*effects).sizes[0]
+
+
+class LeastSquares:
+    """A record's residual to a field model, and the columns of what is modelled. Raises as `pose` does."""
+
+    def __init__(self, telemetry: Telemetry, model: FieldModel, modelled: Sequence[str]) -> None:
+        """Pose the problem."""
+        self._problem = pose(telemetry, model, modelled=modelled)
+        self.residual_nT: FloatArray = np.asarray(self._problem.residual_nT).reshape(-1)
+        self.nuisance = self._problem.nuisance.reshape(self.residual_nT.size, -1)
+
+    def image(self, effect: SignalEffect) -> FloatArray:
+        """(M, P) change of the residual by the parameters of an effect."""
+        image = jacobian(self._problem.chain, effect, at=self._problem.modelled_active)
+        return np.asarray(image).reshape(self.residual_nT.size, -1)
+
+    def remaining_nT(self, *effects: SignalEffect) -> tuple[FloatArray, list[FloatArray]]:
+        """The residual (M,) once what is modelled and the effects are fitted, and the coefficients of each effect."""
+        images = [self.image(effect) for effect in effects]
+        fitted, values = _fit(np.concatenate([self.nuisance, *images], axis=1), self.residual_nT)
+        ends = np.cumsum([self.nuisance.shape[1], *(image.shape[1] for image in images)])
+        return self.residual_nT - fitted, [values[a:b] for a, b in itertools.pairwise(ends)]
 
 
 @dataclass(frozen=True)
@@ -214,7 +283,7 @@ def _answer(case: Case, folder: Path, settings: Settings, progress: Progress) ->
 
     found = diagnose(telemetry, model, modelled=case.modelled, progress=titled)
     filled = np.any(np.abs(telemetry.mag_B_nT) > _MISSING_NT, axis=1)
-    return Answer(case, found, _latitude_deg(telemetry), filled)
+    return Answer(case, found, latitude_deg(telemetry), filled)
 
 
 def _effects(*names: str) -> tuple[SignalEffect, ...]:
@@ -261,24 +330,78 @@ def _magsat_tables(folder: Path, settings: Settings) -> Mapping[str, Shares]:
 def _left(telemetry: Telemetry, model: FieldModel) -> Numbers:
     """What a model with b and S fitted leaves."""
     remaining_nT, _ = LeastSquares(telemetry, model, DEFAULT_MODELLED).remaining_nT()
-    latitude_deg, residual_nT = _latitude_deg(telemetry), remaining_nT.reshape(-1, 3)
-    bands = [(low, high, _between(latitude_deg, low, high)) for low, high in itertools.pairwise(BANDS_DEG)]
+    along_deg, residual_nT = latitude_deg(telemetry), remaining_nT.reshape(-1, 3)
+    bands = [
+        (low, high, (np.abs(along_deg) >= low) & (np.abs(along_deg) < high))
+        for low, high in itertools.pairwise(BANDS_DEG)
+    ]
     return Numbers(
         # (N,) geocentric, and (N, 3).
-        latitude_deg=latitude_deg,
+        latitude_deg=along_deg,
         residual_nT=residual_nT,
         # Latitudes from and to, rows, rms per component [nT], either hemisphere.
         bands=[(low, high, int(rows.sum()), rms(residual_nT[rows])) for low, high, rows in bands if rows.any()],
     )
 
 
-def _between(latitude_deg: FloatArray, low: float, high: float) -> BoolArray:
-    return np.asarray((np.abs(latitude_deg) >= low) & (np.abs(latitude_deg) < high))
+def alone(
+    telemetry: Telemetry, model: FieldModel, modelled: Sequence[str], wanted: Sequence[tuple[SignalEffect, ...]]
+) -> Shares:
+    """Least squares of each set of effects and what is modelled, all components alike. Raises as `pose` does."""
+    problem, shares = LeastSquares(telemetry, model, modelled), []
+    for effects in wanted:
+        remaining_nT, values = problem.remaining_nT(*effects)
+        sizes = tuple(float(part[np.argmax(np.abs(part))]) for part in values)
+        names, count = tuple(one.name for one in effects), sum(part.size for part in values)
+        shares.append(Share(names, count, rms(remaining_nT), sizes))
+    return Shares(rms(problem.residual_nT), tuple(modelled), rms(problem.remaining_nT()[0]), tuple(shares))
 
 
-def _latitude_deg(telemetry: Telemetry) -> FloatArray:
-    """(N,) geocentric latitude of the rows."""
-    assert telemetry.r_N_km is not None
-    r_E_km = frames.rotation_EN(telemetry.time).apply(np.array(telemetry.r_N_km))
-    latitude: FloatArray = np.degrees(frames.geocentric(r_E_km)[0])
-    return latitude
+def visible_nT(
+    telemetry: Telemetry, model: FieldModel, modelled: Sequence[str], effect: SignalEffect, size: float
+) -> tuple[float, float]:
+    """rms per component of an effect with one parameter of that size: whole, and after projecting out what is modelled."""
+    problem = LeastSquares(telemetry, model, modelled)
+    image = size * problem.image(effect)[:, 0]
+    return rms(image), rms(image - _fit(problem.nuisance, image)[0])
+
+
+def _fit(design: FloatArray, residual: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """What columns (M, P) of any units explain of the residual (M,), and their coefficients."""
+    length = np.linalg.norm(design, axis=0)
+    length = np.where(length > 0, length, 1.0)
+    found = np.linalg.lstsq(design / length, residual, rcond=_RCOND)[0]
+    return np.asarray(design / length @ found), np.asarray(found / length)
+
+
+def coefficients(given: Compensation, rate_Hz: float) -> Numbers:
+    """The 18 coefficients of a published Tolles-Lawson compensation, recovered exactly.
+
+    With the fluxgate's reading f and its direction u the compensation is u . (p + S f + K df/dt): permanent, induced (S
+    symmetric) and eddy-current terms (Tolles & Lawson 1950; Leliak 1961, doi 10.1109/TANE3.1961.4201799). df/dt is the
+    central difference that the source took, so the 18 coefficients repeat the published values to their last digit.
+    """
+    flux = given.fluxgate_B_nT
+    u = flux / np.linalg.norm(flux, axis=1)[:, None]
+    rows, columns = np.triu_indices(3)
+    induced = u[:, rows] * flux[:, columns]
+    eddy = np.einsum("ni,nj->nij", u, np.gradient(flux, 1.0 / rate_Hz, axis=0)).reshape(-1, 9)
+    design = np.concatenate([u, induced, eddy], axis=1)
+    length = np.linalg.norm(design, axis=0)
+    found = np.linalg.lstsq(design / length, given.taken_nT, rcond=1e-13)[0] / length
+    S = np.zeros((3, 3))
+    S[rows, columns] = 0.5 * found[3:9]
+    K = found[9:].reshape(3, 3)
+    symmetric = 0.5 * (K + K.T)
+    return Numbers(
+        # (3,), (3, 3) symmetric, and (3, 3), of which the last also without its antisymmetric part and its trace.
+        permanent_nT=found[:3],
+        induced=S + S.T,
+        eddy_s=K,
+        symmetric_eddy_s=symmetric - np.eye(3) * np.trace(symmetric) / 3.0,
+        # Largest difference between the published compensation and the one of these coefficients.
+        worst_nT=np.abs(design @ found - given.taken_nT).max(),
+        # rms along the field of the three parts, and of the eddy terms that are antisymmetric.
+        parts_nT=(rms(u @ found[:3]), rms(induced @ found[3:9]), rms(eddy @ found[9:])),
+        antisymmetric_nT=rms(eddy @ (K - symmetric).reshape(-1)),
+    )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -13,12 +12,10 @@ from fluxtwin.calib.common.digits import plain
 from fluxtwin.gap.law.words import made_of
 from fluxtwin.gap.records.diagnosis import Diagnosis
 from fluxtwin.gap.report.words import at_the_end
-from fluxtwin.scenarios.flight_gaps.compute import STORM_NT, Answer, Outcome, compute, names_of
-from fluxtwin.scenarios.flight_gaps.least_squares import Share
-from fluxtwin.scenarios.page import Cell, StudyResult, as_markdown
+from fluxtwin.scenarios.flight_gaps.compute import STORM_NT, Answer, Outcome, Share, compute, names_of
+from fluxtwin.scenarios.page import Cell, StudyResult
 from fluxtwin.scenarios.recorded_files import Settings, run_on_files
 from fluxtwin.scenarios.words import Words
-from fluxtwin.sim.base.files import write_text
 from fluxtwin.sim.base.progress import Progress, silent
 from fluxtwin.sim.effects.catalogue import CATALOGUE, find_effect
 
@@ -29,10 +26,8 @@ _EDDY = {"K_xx": (0, 0), "K_yy": (1, 1), "K_xy": (0, 1), "K_xz": (0, 2), "K_yz":
 
 
 def run(out: Path, data: Path | None, progress: Progress = silent) -> StudyResult:
-    """The whole study, as `run_on_files`; `report.md` is its page as Markdown."""
-    result = run_on_files(SETTINGS, out, data, progress, compute, present)
-    assert result.page is not None
-    return replace(result, written=[*result.written, write_text(out / "report.md", as_markdown(result.page))])
+    """The whole study, as `run_on_files`."""
+    return run_on_files(SETTINGS, out, data, progress, compute, present)
 
 
 def present(outcome: Outcome, settings: Settings) -> StudyResult:

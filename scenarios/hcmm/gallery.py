@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -100,7 +99,7 @@ def run_gallery(
     chosen = [case for case in cases(config) if case.key in only]
     answers = []
     for number, case in enumerate(chosen):
-        part = part_of(partial(_titled, progress, case.key), number / len(chosen), (number + 1) / len(chosen))
+        part = part_of(progress, number / len(chosen), (number + 1) / len(chosen))
         telemetry = mission.fly(plain.updated(dict(case.changes)), world).telemetry
         used, later = telemetry.select(telemetry.time < end), telemetry.select(telemetry.time >= end)
         answers.append(_answer(config, case, used, later, ground, part))
@@ -124,7 +123,10 @@ def diagnosed(
 def _answer(
     config: Scenario, case: Case, used: Telemetry, later: Telemetry, ground: FieldModel, progress: Progress
 ) -> Numbers:
-    found = diagnosed(used, ground, config, case.modelled, progress)
+    def titled(words: str, share: float) -> None:
+        progress(f"gallery, {case.key}: {words}", share)
+
+    found = diagnosed(used, ground, config, case.modelled, titled)
     alone = settled(pose(used, ground, modelled=case.modelled, budget=_budget(config)))
     problem, residual = _left(used, ground, alone.modelled_active, config, alone.setting.instrument)
     longitude_latitude = frames.geocentric(problem.setting.R_EN.apply(problem.setting.given[0]))[:2]
@@ -145,10 +147,6 @@ def _answer(
         place_deg=np.degrees(np.stack(longitude_latitude, axis=1)),
         known=used.has_attitude,
     )
-
-
-def _titled(progress: Progress, key: str, words: str, share: float) -> None:
-    progress(f"gallery, {key}: {words}", share)
 
 
 def _budget(config: Scenario) -> Budget:

@@ -10,10 +10,12 @@ from typing import Any
 
 import numpy as np
 
+from fluxtwin.calib.common.digits import with_sigma
 from fluxtwin.gap.channels.sun_nadir import open_channel
 from fluxtwin.gap.records.diagnosis import Diagnosis, EffectParameter
 from fluxtwin.gap.report.words import located
 from fluxtwin.scenarios.flights import (
+    ATTITUDES,
     NAMES,
     Numbers,
     calibration_summary,
@@ -38,7 +40,6 @@ from fluxtwin.scenarios.hcmm_orbit.fit import fit_orbit
 from fluxtwin.scenarios.hcmm_orbit.predictions import run_flight_test, weigh_ideas, windows_of
 from fluxtwin.scenarios.hcmm_orbit.record import Range, read_passes
 from fluxtwin.scenarios.page import Page, StudyResult
-from fluxtwin.scenarios.registry import ATTITUDES
 from fluxtwin.scenarios.words import Words, motion_table
 from fluxtwin.sim.base.progress import Progress, part_of, silent
 from fluxtwin.sim.base.types import FloatArray
@@ -116,7 +117,7 @@ def words() -> Words:
         ranges=_ranges,
         region_deg=REGION_DEG,
         residuals=_residuals,
-        rounded=_rounded,
+        rounded=lambda value, sigma: with_sigma(value, sigma)[0],
         size=mission.PRINTED.size,
     )
 
@@ -160,13 +161,6 @@ def _diagnosed(found: Diagnosis | None) -> str:
 def _value(name: str, parameter: EffectParameter) -> str:
     sigma = "" if parameter.sigma is None else f" ± {parameter.sigma:.2g}"
     return f"{name} {parameter.value:.3g}{sigma}{'' if parameter.unit == '1' else f' {parameter.unit}'}"
-
-
-def _rounded(value: float, sigma: float | None) -> str:
-    """To the second digit of its sigma; to four digits where it has none."""
-    if not sigma:
-        return f"{value:.4g}"
-    return f"{value:.{max(0, 1 - int(np.floor(np.log10(sigma))))}f}"
 
 
 def differ(one: Numbers) -> str:

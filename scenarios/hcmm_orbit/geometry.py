@@ -133,8 +133,6 @@ class PassWindows:
 
     start_min: FloatArray
     end_min: FloatArray
-    turns: FloatArray
-    """1 where the angle passes through an extremum inside the visible arc, so that its range may not fix both ends."""
 
 
 def fix_windows(grid: Grid, sky: Sky, ranges: Sequence[Range]) -> PassWindows:
@@ -164,16 +162,14 @@ def _turning_points(values: FloatArray) -> FloatArray:
     return np.asarray(values[1:-1][(values[1:-1] - values[:-2]) * (values[2:] - values[1:-1]) < 0])
 
 
-def _window(minutes: FloatArray, angle: FloatArray, visible: Range, printed: Range) -> tuple[float, ...]:
+def _window(minutes: FloatArray, angle: FloatArray, visible: Range, printed: Range) -> Range:
     times, low, high = ranges_of_windows(minutes, angle, visible)
-    turning = _turning_points(np.interp(times, minutes, angle))
-    printed = _with_turning_points(printed, turning)
+    printed = _with_turning_points(printed, _turning_points(np.interp(times, minutes, angle)))
     length = times[None, :] - times[:, None]
     misfit = np.where(length >= _SHORTEST_MIN, np.abs(low - printed[0]) + np.abs(high - printed[1]), np.inf)
     least = float(np.nanmin(misfit))
-    best = np.unravel_index(int(np.argmax(np.where(misfit <= least + _EQUAL_DEG, length, -1.0))), misfit.shape)
-    first, last = int(best[0]), int(best[1])
-    return float(times[first]), float(times[last]), float(turning.size > 0)
+    first, last = np.unravel_index(int(np.argmax(np.where(misfit <= least + _EQUAL_DEG, length, -1.0))), misfit.shape)
+    return float(times[first]), float(times[last])
 
 
 def ranges_of_windows(
@@ -212,10 +208,6 @@ class PassAngles:
     latitude_deg: FloatArray
     """(P, M) geocentric."""
     longitude_deg: FloatArray
-
-    def range_of(self, name: str) -> FloatArray:
-        """(P, 2) lowest and highest of `sun_field_deg`, `nadir_field_deg`, ..."""
-        return ends_of(getattr(self, name))
 
 
 def ends_of(values: FloatArray) -> FloatArray:

@@ -60,8 +60,8 @@ def run_flight_test(fit: OrbitFit, model: FieldModel | None = None) -> Numbers:
     passes = tuple(item for item in read_passes() if item.sunlit)
 
     def predict(orbit: Orbit, other: FieldModel, turn_deg: float = 0.0) -> FloatArray:
-        found = angles_along(passes, windows_of(passes, orbit), orbit, other, turned_east_deg=turn_deg)
-        return found.range_of("sun_field_deg")
+        windows = windows_of(passes, orbit)
+        return ends_of(angles_along(passes, windows, orbit, other, turned_east_deg=turn_deg).sun_field_deg)
 
     predicted = predict(fit.orbit, model)
     scanned, used = (
@@ -116,7 +116,7 @@ def weigh_ideas(fit: OrbitFit, windows: PassWindows) -> Numbers:
     def along(which: FieldModel, start_min: float = 0.0, end_min: float = 0.0) -> Predict:
         moved = {"start_min": windows.start_min + start_min, "end_min": windows.end_min + end_min}
         where = dataclasses.replace(windows, **moved)
-        return _whole(angles_along(passes, where, fit.orbit, which).range_of("nadir_field_deg"))
+        return _whole(ends_of(angles_along(passes, where, fit.orbit, which).nadir_field_deg))
 
     def best_part(which: FieldModel) -> Predict:
         found = angles_along(passes, windows, fit.orbit, which)

@@ -1,20 +1,21 @@
 """The published record: 43 passes with acquisition time, station and the ranges of three angles.
 
 Source: Table 5 of AIAA 79-1695. Columns `..._read` hold what the scan shows; the others hold the value used, and `why`
-says what was changed and from what. Acquisition times and stations are in `passes.csv` and `stations.toml`.
+says what was changed and from what. The record is in `passes.csv`; the stations are those of HCMM's scenario.
 """
 
 from __future__ import annotations
 
 import csv
-import tomllib
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
 
 import numpy as np
 
+from fluxtwin.scenarios.packaged import SCENARIOS, load_scenario
 from fluxtwin.sim.earth.stations import Station
+from fluxtwin.sim.run.scenario_stations import stations_of
 
 Range = tuple[float, float]
 
@@ -58,23 +59,14 @@ class Pass:
 @cache
 def read_passes() -> tuple[Pass, ...]:
     """All 43 passes, in the order of the table."""
-    rows = csv.DictReader(_text("passes.csv").splitlines())
-    return tuple(_pass(row) for row in rows)
+    text = resources.files("fluxtwin.scenarios.hcmm_orbit").joinpath("data/passes.csv").read_text(encoding="utf-8")
+    return tuple(map(_pass, csv.DictReader(text.splitlines())))
 
 
 @cache
 def read_stations() -> dict[str, Station]:
-    """The seven stations by their letters, horizon at zero elevation."""
-    entries = tomllib.loads(_text("stations.toml"))
-    return {
-        letters: Station(
-            letters,
-            float(np.radians(entry["latitude_deg"])),
-            float(np.radians(entry["longitude_deg"])),
-            float(entry["altitude_km"]),
-        )
-        for letters, entry in entries.items()
-    }
+    """The seven stations of `hcmm.toml` by their letters, horizon at zero elevation."""
+    return {station.name: station for station in stations_of(load_scenario(SCENARIOS["hcmm"]))}
 
 
 def _pass(row: dict[str, str]) -> Pass:
@@ -104,7 +96,3 @@ def _range(row: dict[str, str], name: str, kind: str = "") -> Range:
 
 def _number(text: str) -> float | None:
     return float(text) if text else None
-
-
-def _text(name: str) -> str:
-    return resources.files("fluxtwin.scenarios.hcmm_orbit").joinpath(f"data/{name}").read_text(encoding="utf-8")

@@ -50,7 +50,7 @@ def run_calibrations(flight: Flight, ground: FieldModel, progress: Progress, run
         progress(f"calibration {run + 1} of {runs}", run / runs)
         other = mission.fly(mission.with_random_hours(flight.scenario, flight.scenario.seed + 1 + run))
         reference_square.append(np.nanmean(reference_error_rad(other) ** 2, axis=0))
-        bias_only.append(bias_alone(other.telemetry.select(other.rows("205")), ground).b_nT / NT_PER_MG)
+        bias_only.append(bias_alone(mission.record_of(other, "205"), ground).b_nT / NT_PER_MG)
         found.append([_try_both(other, name, ground) for name in DATA_SETS])
         if run < WHITE_RUNS:
             again = mission.fly(other.scenario.updated({"magnetometer.unknown.kind": "white"}), other.world)
@@ -90,7 +90,7 @@ def reference_error_rad(flight: Flight) -> FloatArray:
 def calibrations(flight: Flight, ground: FieldModel) -> tuple[Calibration, Calibration]:
     """The full calibration of all days, and the mean bias of day 205."""
     whole = papers_regression(flight.telemetry, ground).calibration
-    return whole, bias_alone(flight.telemetry.select(flight.rows("205")), ground)
+    return whole, bias_alone(mission.record_of(flight, "205"), ground)
 
 
 def _try_both(flight: Flight, data_set: str, ground: FieldModel) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -103,7 +103,7 @@ def _try_both(flight: Flight, data_set: str, ground: FieldModel) -> tuple[FloatA
 
 
 def _fit(flight: Flight, data_set: str, ground: FieldModel, *, corrected: bool, covariance: str = "white") -> LinearFit:
-    telemetry = flight.telemetry.select(flight.rows(data_set))
+    telemetry = mission.record_of(flight, data_set)
     return papers_regression(telemetry, ground, errors_in_variables=corrected, covariance=covariance)
 
 

@@ -15,6 +15,7 @@ enters nowhere: it gives a node of its own, and is the witness.
 
 from __future__ import annotations
 
+from functools import cache
 from itertools import product
 
 import numpy as np
@@ -24,6 +25,7 @@ from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
 from fluxtwin.sim.earth import frames, sun
 from fluxtwin.sim.earth.constants import EARTH_RADIUS_KM
 from fluxtwin.sim.earth.orbit import orbital_rates
+from fluxtwin.sim.spacecraft.sensors.sun_sensor import SunSensorSection
 
 SEMI_MAJOR_AXIS_KM = 7168.0
 INCLINATION_DEG = 108.0
@@ -40,6 +42,9 @@ _HALF_FOVS = (32.0, 64.0)
 """Half the field of view: 128 x 128 deg is HCMM's head (claim 49); 64 x 64 deg a narrower one, assumed."""
 _SPACINGS = (15.0, 30.0, 45.0, 60.0, 90.0)
 _U = np.radians(np.arange(0.0, 360.0, 2.0))
+_RATES = orbital_rates(SEMI_MAJOR_AXIS_KM, 0.0, float(np.radians(INCLINATION_DEG)))
+_NODE_RATE_DEG_DAY = float(np.degrees(_RATES.raan_rad_s) * 86400.0)
+_PERIOD_MIN = float(2 * np.pi / (_RATES.mean_anomaly_rad_s + _RATES.argument_of_perigee_rad_s) / 60.0)
 
 
 def scan_node() -> Numbers:
@@ -77,18 +82,22 @@ def scan_heads(raan_deg: float) -> Numbers:
     cn, sn = np.cos(node), np.sin(node)
     up = np.stack([cu * cn - su * np.cos(i) * sn, cu * sn + su * np.cos(i) * cn, su * np.sin(i) + 0 * cn], axis=-1)
     normal = np.broadcast_to(_normal(raan_deg, days)[:, None, :], up.shape)
-    z, y = -up, -normal
-    x = np.cross(y, z)
     sun_T = _sun_of_date(days)
-    sun_O = np.stack([np.einsum("duk,dk->du", axis, sun_T) for axis in (x, y, z)], axis=-1)
+    sun_O = np.stack([np.einsum("duk,dk->du", axis, sun_T) for axis in (np.cross(normal, up), -normal, -up)], axis=-1)
     horizon = -np.sqrt(1.0 - (EARTH_RADIUS_KM / SEMI_MAJOR_AXIS_KM) ** 2)
     lit = -sun_O[..., 2] > horizon
     latitude = np.arcsin(up[..., 2])
-    found = [
-        _judge(tuple(float((first + k * spacing) % 360.0) for k in range(4)), elevation, half, sun_O, lit, latitude)
-        for elevation, half, spacing in product(_ELEVATIONS, _HALF_FOVS, _SPACINGS)
-        for first in np.arange(0.0, 360.0, 15.0)
-    ]
+
+    @cache
+    def seen_by(azimuth: float, elevation: float, half: float) -> BoolArray:
+        head = SunSensorSection(azimuth_deg=azimuth, elevation_deg=elevation, half_fov_deg=half)
+        return head.sees(sun_O.reshape(-1, 3), lit.ravel()).reshape(lit.shape)
+
+    found = []
+    for elevation, half, spacing, first in product(_ELEVATIONS, _HALF_FOVS, _SPACINGS, np.arange(0.0, 360.0, 15.0)):
+        azimuths = tuple(float((first + k * spacing) % 360.0) for k in range(4))
+        seen = np.stack([seen_by(one, elevation, half) for one in azimuths])
+        found.append(_judge(azimuths, elevation, half, seen, latitude))
     return min(found, key=lambda one: one.misfit)
 
 
@@ -100,18 +109,18 @@ def node_from_launch() -> float:
     to_earth = frames.rotation_EN(LAUNCH) * frames.rotation_TN(LAUNCH).inv()
     sidereal = np.arctan2(*to_earth.as_matrix()[0, 0, 1::-1])
     elapsed_days = (day(DATA_DAYS[0]) - LAUNCH) / np.timedelta64(1, "D")
-    drift = _node_rate_deg_day() * float(elapsed_days)
+    drift = _NODE_RATE_DEG_DAY * float(elapsed_days)
     return float((np.degrees(sidereal + np.radians(LAUNCH_LONGITUDE_DEG) - from_node) + drift) % 360.0)
 
 
 def _judge(
-    azimuths: tuple[float, ...], elevation: float, half: float, sun_O: FloatArray, lit: BoolArray, latitude: FloatArray
+    azimuths: tuple[float, ...], elevation: float, half: float, seen: BoolArray, latitude: FloatArray
 ) -> Numbers:
-    seen = np.stack([lit & _in_view(sun_O, azimuth, elevation, half) for azimuth in azimuths])
+    """One mounting, of which each head sees the sun in `seen` (4, D, U)."""
     some = np.asarray(seen.any(axis=0))
     data, late, check = some[: len(DATA_DAYS)], some[len(DATA_DAYS) : -1], some[-1]
-    minutes = data.mean(axis=1) * _period_min()
-    short = np.maximum(np.minimum(np.array(DATA_MINUTES), _period_min()) - minutes, 0.0) / _period_min()
+    minutes = data.mean(axis=1) * _PERIOD_MIN
+    short = np.maximum(np.minimum(np.array(DATA_MINUTES), _PERIOD_MIN) - minutes, 0.0) / _PERIOD_MIN
     south = latitude[len(DATA_DAYS) : -1] < 0
     visible = float(late.mean())
     visible_south = float((late & south).sum() / max(late.sum(), 1))
@@ -134,19 +143,6 @@ def _judge(
     )
 
 
-def _in_view(sun_O: FloatArray, azimuth_deg: float, elevation_deg: float, half_deg: float) -> BoolArray:
-    """Square field of view about a boresight in the (nadir-pointing) body frame. Elevation is up, -z."""
-    a, e = np.radians(azimuth_deg), np.radians(elevation_deg)
-    boresight = np.array([np.cos(a) * np.cos(e), np.sin(a) * np.cos(e), -np.sin(e)])
-    across = np.array([-np.sin(a), np.cos(a), 0.0])
-    along = np.cross(boresight, across)
-    ahead, limit = sun_O @ boresight, np.tan(np.radians(half_deg))
-    inside: BoolArray = (
-        (ahead > 0) & (np.abs(sun_O @ across) <= limit * ahead) & (np.abs(sun_O @ along) <= limit * ahead)
-    )
-    return inside
-
-
 def _dark_share(normal_T: FloatArray, sun_T: FloatArray) -> FloatArray:
     """Share of a circular orbit in the Earth's cylindrical shadow, by the angle of the sun from the plane."""
     sine = np.einsum("ij,ij->i", normal_T, sun_T)
@@ -161,16 +157,7 @@ def _normal(raan_deg: float, days: FloatArray) -> FloatArray:
 
 
 def _node_on(raan_deg: float, days: FloatArray) -> FloatArray:
-    return raan_deg + _node_rate_deg_day() * (days + 0.5 - DATA_DAYS[0])
-
-
-def _node_rate_deg_day() -> float:
-    return float(np.degrees(orbital_rates(SEMI_MAJOR_AXIS_KM, 0.0, np.radians(INCLINATION_DEG)).raan_rad_s) * 86400.0)
-
-
-def _period_min() -> float:
-    rates = orbital_rates(SEMI_MAJOR_AXIS_KM, 0.0, np.radians(INCLINATION_DEG))
-    return float(2 * np.pi / (rates.mean_anomaly_rad_s + rates.argument_of_perigee_rad_s) / 60.0)
+    return raan_deg + _NODE_RATE_DEG_DAY * (days + 0.5 - DATA_DAYS[0])
 
 
 def _sun_of_date(days: FloatArray) -> FloatArray:

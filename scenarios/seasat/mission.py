@@ -1,4 +1,4 @@
-"""Seasat's runs: the scenario, its data sets, and one flight of it."""
+"""Seasat's runs: the scenario, its data sets, and other hours of it."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from fluxtwin.scenarios import flights
-from fluxtwin.scenarios.flights import Mission, day
+from fluxtwin.scenarios.flights import Flight, Mission, day, fly
 from fluxtwin.scenarios.seasat import geometry
 from fluxtwin.sim.base.random_streams import stream
-from fluxtwin.sim.base.types import BoolArray
-from fluxtwin.sim.run.world import World
 from fluxtwin.sim.scenario.scenario import Scenario
+from fluxtwin.sim.telemetry.record import Telemetry
+
+__all__ = ["Flight", "fly"]
 
 PRINTED = Mission(
     "fluxtwin.scenarios.seasat",
@@ -41,17 +41,9 @@ PAPER_COLUMN = {"205": "205", "219": "219", "225": "225", "227": "227", "193": "
 """Columns of `calibration.csv`."""
 
 
-class Flight(flights.Flight):
-    """One run of a scenario, with its data sets."""
-
-    def rows(self, data_set: str) -> BoolArray:
-        """(N,) rows of one of DATA_SETS."""
-        return np.isin(self.world.segment, DATA_SETS[data_set])
-
-
-def fly(config: Scenario, world: World | None = None) -> Flight:
-    """Run a scenario; `world` if it is known already."""
-    return Flight(**vars(flights.fly(config, world)))
+def record_of(flight: Flight, data_set: str) -> Telemetry:
+    """The telemetry of one of DATA_SETS."""
+    return flight.telemetry.select(np.isin(flight.world.segment, DATA_SETS[data_set]))
 
 
 def with_random_hours(config: Scenario, seed: int) -> Scenario:

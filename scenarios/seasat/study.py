@@ -12,6 +12,7 @@ import numpy as np
 
 from fluxtwin.calib.common.records import Calibration
 from fluxtwin.scenarios.flights import (
+    ATTITUDES,
     NAMES,
     NEAR_NODE_DEG,
     Numbers,
@@ -23,7 +24,6 @@ from fluxtwin.scenarios.flights import (
     write_flight,
 )
 from fluxtwin.scenarios.page import StudyResult
-from fluxtwin.scenarios.registry import ATTITUDES
 from fluxtwin.scenarios.seasat import geometry, mission
 from fluxtwin.scenarios.seasat.calibration import check_identities, run_calibrations, run_errors
 from fluxtwin.scenarios.seasat.mission import DATA_SETS, PAPER_COLUMN, printed_value

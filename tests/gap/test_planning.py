@@ -18,7 +18,7 @@ from fluxtwin.gap.planning.designs import Design, LimitsSection, designs
 from fluxtwin.gap.planning.power import Cause, Flown, probability_of
 from fluxtwin.gap.planning.questions import Open, ambiguous, apart, signal, to_place, typical
 from fluxtwin.gap.selection.score import board
-from fluxtwin.planning import view_of
+from fluxtwin.planning import View
 from fluxtwin.sim.base.toml_input import validate
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import frames
@@ -116,7 +116,7 @@ def flown(base: Scenario) -> dict[str, tuple[Design, Flown]]:
     for design in designs(base, allowed, 1.6, 20.0, START):
         assert design.step_h == 20.0 / 3600.0
         record, _ = simulate(design.scenario)
-        found[design.words] = (design, view_of(record, design.scenario))
+        found[design.words] = (design, View(design.scenario).flown(record, design.scenario))
     return found
 
 
@@ -202,7 +202,7 @@ def test_the_orbit_of_a_record_is_found(base: Scenario, eccentricity: float) -> 
     changes = {"orbit.eccentricity": eccentricity, "orbit.altitude_km": 650.0 + 9000.0 * eccentricity}
     scenario = base.updated({**changes, "schedule.segments": [_segment(300.0)]})
     record, _ = simulate(scenario)
-    tree = base_tree(_closure(view_of(record, scenario)), 10.0, "igrf14")
+    tree = base_tree(_closure(View(scenario).flown(record, scenario)), 10.0, "igrf14")
     again = validate(tree, Scenario, where="base")
     when = record.time[-1] + np.arange(0, 86400, 600) * np.timedelta64(1, "s")
     away = np.linalg.norm(ephemeris(scenario, when)[0] - ephemeris(again, when)[0], axis=1)

@@ -244,7 +244,7 @@ def test_a_wrong_truth_would_be_noticed():
     found = []
     for matrix in (np.array(config.magnetometer.S), S):
         flight = mission.fly(config.updated({"magnetometer.S": matrix.tolist()}))
-        day = flight.telemetry.select(flight.rows("205"))
+        day = mission.record_of(flight, "205")
         found.append(calibrate_linear(day, ground, parameters="b").calibration.b_nT / 100.0)
     assert abs(found[0][0] - found[1][0]) > 1.5
 

@@ -28,8 +28,7 @@ from fluxtwin.gap.noise.choice import choose_noise
 from fluxtwin.gap.noise.robust_rows import CUT_SIGMA
 from fluxtwin.gap.noise.whitening import NoiseModel
 from fluxtwin.gap.problem.problem import Budget, pose
-from fluxtwin.gap.problem.row_axes import turn_images
-from fluxtwin.gap.problem.start import start_without_attitude
+from fluxtwin.gap.problem.row_axes import start_without_attitude, turn_images
 from fluxtwin.gap.selection.refit import settled
 from fluxtwin.sim.base.errors import BadInput, NoAnswer
 from fluxtwin.sim.base.types import BoolArray, FloatArray, IntArray

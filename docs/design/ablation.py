@@ -90,7 +90,7 @@ RULES: dict[str, dict[str, Any]] = {
     "several names likelier wrong than right": {f"{GAP}.report.verdict.likelier_unknown": _no},
     "least share by the attitude error": {
         f"{GAP}.linear.projection.share_of_errors": lambda _, least: least,
-        f"{GAP}.noise.reml.share_of_errors": lambda _, least: least,
+        f"{GAP}.noise.choice.share_of_errors": lambda _, least: least,
     },
     "the field shortened by a turn": {f"{GAP}.problem.problem.Problem._unshortened": lambda *given: given[1]},
     "images that follow the attitude's error": {

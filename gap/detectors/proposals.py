@@ -6,10 +6,9 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from fluxtwin.gap.detectors.codes import flipped_bits, stuck_bit
+from fluxtwin.gap.detectors.codes import flipped_bits, noise_level, stuck_bit
 from fluxtwin.gap.detectors.finding import Finding
 from fluxtwin.gap.detectors.lines import companion, strongest_line, wheel_line
-from fluxtwin.gap.detectors.noise_level import noise_level
 from fluxtwin.gap.detectors.residual_structure import Structure
 from fluxtwin.gap.detectors.switched_region import switched_region
 from fluxtwin.gap.detectors.two_state import heater_sequence

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from fluxtwin.gap.detectors.finding import in_parts
 from fluxtwin.gap.detectors.lines import independent_frequencies, strongest_line
-from fluxtwin.gap.detectors.waveforms import in_parts
 from fluxtwin.gap.hypotheses.blocks import blocks, step_block
 from fluxtwin.gap.hypotheses.evidence import BlockFit, Dictionary, fit, fit_all
 from fluxtwin.gap.linear.projection import (

@@ -12,8 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fluxtwin.gap.detectors.finding import Finding
-from fluxtwin.gap.detectors.waveforms import does_as_well, fitted, stands_out
+from fluxtwin.gap.detectors.finding import Finding, does_as_well, fitted, stands_out
 from fluxtwin.gap.hypotheses.blocks import in_body
 from fluxtwin.gap.hypotheses.evidence import BlockFit
 from fluxtwin.gap.linear.projection import ProjectedResidual

@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 from scipy.special import gammaln
 
 from fluxtwin.calib.common.criterion import FALSE_ALARM
-from fluxtwin.gap.detectors.finding import Finding
+from fluxtwin.gap.detectors.finding import Finding, Fitted, does_as_well, fitted, stands_out
 from fluxtwin.gap.detectors.lines import Line, line_columns
-from fluxtwin.gap.detectors.waveforms import Fitted, does_as_well, fitted, stands_out
 from fluxtwin.gap.hypotheses.blocks import in_body
 from fluxtwin.gap.hypotheses.evidence import BlockFit
 from fluxtwin.gap.linear.projection import ProjectedResidual

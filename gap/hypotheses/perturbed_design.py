@@ -9,13 +9,12 @@ is no evidence of anything.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
 
-from fluxtwin.gap.hypotheses.conditions import Condition, conditions
 from fluxtwin.gap.linear.projection import span_of
 from fluxtwin.gap.problem.problem import Problem
 from fluxtwin.sim.attitude.gauss_markov import gauss_markov
@@ -30,14 +29,6 @@ MOST_CHANGED = 0.3
 SLOW_S = 300.0
 """Errors of the attitude last minutes."""
 _SEED = 12
-
-
-def steady(perturbed: PerturbedDesign, found: Iterable[Condition]) -> list[Condition]:
-    """Conditions of a design that do not follow the attitude's error."""
-    if perturbed.setting is None:
-        return list(found)
-    again = {(c.name, c.label): c.columns for c in conditions(perturbed.setting)}
-    return [c for c in found if alike(c.columns, again.get((c.name, c.label)))]
 
 
 def alike(columns: FloatArray, again: FloatArray | None) -> bool:

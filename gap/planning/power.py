@@ -16,9 +16,8 @@ from functools import cached_property
 import numpy as np
 from scipy.stats import chi2, norm
 
-from fluxtwin.gap.hypotheses.blocks import Carrier
+from fluxtwin.gap.hypotheses.blocks import Carrier, always, conditions
 from fluxtwin.gap.hypotheses.candidates import Candidate, candidate_of, candidates
-from fluxtwin.gap.hypotheses.conditions import always, conditions
 from fluxtwin.gap.linear.projection import least_share, orthonormal, projected
 from fluxtwin.gap.noise.choice import NoiseModel, whitener_of
 from fluxtwin.gap.noise.whitening import Whitener

@@ -33,10 +33,9 @@ from fluxtwin.gap.noise.choice import (
 from fluxtwin.gap.problem.problem import Problem
 from fluxtwin.gap.selection.criterion import LOG_FURTHER, SHAPE, THRESHOLD, penalty, worth_of_shape
 from fluxtwin.gap.selection.forward import Search, begin, run, without
-from fluxtwin.gap.selection.named import SearchResult
 from fluxtwin.gap.selection.refit import Fit, Readings
 from fluxtwin.gap.selection.score import Board
-from fluxtwin.gap.selection.search import by_gain, result_of
+from fluxtwin.gap.selection.search import SearchResult, by_gain, result_of
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.base import SignalEffect
 from fluxtwin.sim.effects.chain import Active

@@ -17,15 +17,13 @@ from scipy.special import expit
 
 from fluxtwin.gap.detectors import proposals
 from fluxtwin.gap.detectors.finding import Finding
-from fluxtwin.gap.detectors.full_rate import FullRate
-from fluxtwin.gap.detectors.lines import independent_frequencies, line_near, wheel_line
+from fluxtwin.gap.detectors.lines import FullRate, independent_frequencies, line_near, wheel_line
 from fluxtwin.gap.detectors.random_walk import random_walk
 from fluxtwin.gap.detectors.residual_structure import Structure, residual_structure
 from fluxtwin.gap.hypotheses.evidence import Dictionary
 from fluxtwin.gap.linear.projection import projected
 from fluxtwin.gap.noise.choice import NoiseModel, Whitener, choose_noise, whitener_of
-from fluxtwin.gap.noise.walk import gain, likeliest_rate
-from fluxtwin.gap.noise.whitening import with_walk
+from fluxtwin.gap.noise.whitening import gain, likeliest_rate, with_walk
 from fluxtwin.gap.posterior.explanations import (
     Answer,
     Known,

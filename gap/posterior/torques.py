@@ -8,9 +8,8 @@ from functools import partial
 
 import numpy as np
 
-from fluxtwin.gap.channels.momentum import MomentumChannel, ahead_km, momentum_channel, ruled_out
+from fluxtwin.gap.channels.momentum import DYNAMICS, MomentumChannel, ahead_km, momentum_channel, orbit_of, ruled_out
 from fluxtwin.gap.channels.momentum_arcs import Craft, Windows, arcs, windows
-from fluxtwin.gap.channels.momentum_images import DYNAMICS, orbit_of
 from fluxtwin.gap.detectors.residual_structure import Structure
 from fluxtwin.gap.held_out.held_out import BLOCKS, Prediction
 from fluxtwin.gap.hypotheses.blocks import Block
@@ -23,9 +22,8 @@ from fluxtwin.gap.records.diagnosis import Detectable, FoundEffect, MomentumGap,
 from fluxtwin.gap.selection.criterion import THRESHOLD, still_known, worth
 from fluxtwin.gap.selection.detectable import smallest
 from fluxtwin.gap.selection.forward import Search, begin, run
-from fluxtwin.gap.selection.named import SearchResult, axis_of, found_effect
 from fluxtwin.gap.selection.refit import Fit, covariance_of, moving
-from fluxtwin.gap.selection.search import ranking, support
+from fluxtwin.gap.selection.search import SearchResult, axis_of, found_effect, ranking, support
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.chain import Active
 from fluxtwin.sim.spacecraft.dynamics.vehicle import Vehicle

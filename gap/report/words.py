@@ -10,9 +10,10 @@ import numpy as np
 from fluxtwin.calib.common.digits import plain
 from fluxtwin.gap.detectors.residual_structure import Structure
 from fluxtwin.gap.noise.choice import NoiseModel
-from fluxtwin.gap.records.diagnosis import FoundEffect, MomentumGap, Place, Shrinkage
+from fluxtwin.gap.records.diagnosis import Detectable, FoundEffect, MomentumGap, Place, Shrinkage
 from fluxtwin.sim.base.types import BoolArray, TimeArray
 from fluxtwin.sim.earth import epoch
+from fluxtwin.sim.effects.catalogue import CATALOGUE
 from fluxtwin.sim.effects.switched_field import SwitchedField
 
 SHAPE_INCOMPLETE = "some smaller structure remains"
@@ -50,6 +51,8 @@ _PLACES = {
     "region": "the region",
 }
 """Names of places that are no words of a sentence."""
+MOST_HOURS = 24.0 * 14
+"""Beyond two weeks of like data a manoeuvre is the better advice alone."""
 
 
 def no_gap(gap: Shrinkage, attitude_would_do_rad: float | None) -> str:
@@ -286,3 +289,46 @@ def thinned(every: int, most_rows: int) -> str:
         f"one row in {every} is used to find slow effects; fast lines, bit errors and noise are sought at the full rate, "
         f"in up to {most_rows:,} rows"
     )
+
+
+def hours_needed(found: Detectable, wanted: float, hours: float) -> float:
+    """Hours of like data after which a size `wanted` shows, when `hours` of them show `found`."""
+    return hours * (found.value / abs(wanted)) ** 2
+
+
+def typical_size(name: str, parameter: str) -> float | None:
+    """The typical size of a parameter in the catalogue, None for what is not there."""
+    known = (p for effect in CATALOGUE if effect.name == name for p in effect.parameters if p.name == parameter)
+    return next((one.scale for one in known), None)
+
+
+def would_settle(detectable: Mapping[str, Detectable], untestable: Mapping[str, str], hours: float) -> dict[str, str]:
+    """For each effect that these data do not show at its typical size: what would, in words.
+
+    hours: of data that were used.
+    """
+    settled_by = {effect.name: effect.settled_by for effect in CATALOGUE}
+    advice = {}
+    for name, found in detectable.items():
+        wanted = typical_size(name, found.parameter)
+        if wanted is None or found.value <= abs(wanted):
+            continue
+        unit = "" if found.unit == "1" else f" {found.unit}"
+        needed = hours_needed(found, wanted, hours)
+        data = "more than two weeks of such data"
+        if needed <= MOST_HOURS:
+            data = f"about {_plain(needed)} h of such data instead of {_plain(hours)} h"
+        advice[name] = f"for {found.parameter} {abs(wanted):.3g}{unit}: {data}, or {settled_by[name]}"
+    return advice | {name: settled_by[name] for name in untestable if name in settled_by}
+
+
+def _plain(value: float) -> str:
+    """Two digits, never as a power of ten."""
+    return f"{float(f'{value:.2g}'):g}"
+
+
+def hours_of(time: TimeArray) -> float:
+    """Hours of data that rows at these times (N,) cover, gaps left out."""
+    if time.size < 2:
+        return 0.0
+    return float(np.median(np.diff(time)) / np.timedelta64(1, "s")) * time.size / 3600.0

@@ -11,11 +11,10 @@ import numpy as np
 import pytest
 from worlds import scenario_text
 
-from fluxtwin.gap.detectors import full_rate, switched_region, two_state
-from fluxtwin.gap.detectors.codes import coarse_steps, flipped_bits, stuck_bit
+from fluxtwin.gap.detectors import lines, switched_region, two_state
+from fluxtwin.gap.detectors.codes import coarse_steps, flipped_bits, noise_level, stuck_bit
 from fluxtwin.gap.detectors.finding import Finding
 from fluxtwin.gap.detectors.lines import companion, strongest_line, wheel_line
-from fluxtwin.gap.detectors.noise_level import noise_level
 from fluxtwin.gap.detectors.random_walk import modes_of_a_walk, random_walk
 from fluxtwin.gap.detectors.residual_structure import drift, judge
 from fluxtwin.gap.detectors.switched_region import _Place, _place, _snug
@@ -23,8 +22,7 @@ from fluxtwin.gap.detectors.two_state import _scatter, heater_sequence
 from fluxtwin.gap.hypotheses.blocks import Block, blocks
 from fluxtwin.gap.hypotheses.evidence import fit_all
 from fluxtwin.gap.linear.projection import projected
-from fluxtwin.gap.noise.walk import likeliest_rate
-from fluxtwin.gap.noise.whitening import NoiseModel, Whitener, make_whitener, with_walk
+from fluxtwin.gap.noise.whitening import NoiseModel, Whitener, likeliest_rate, make_whitener, with_walk
 from fluxtwin.gap.posterior import structured
 from fluxtwin.gap.posterior.structured import Structured
 from fluxtwin.gap.problem.problem import Problem, pose
@@ -429,8 +427,8 @@ def test_the_stretch_at_the_full_rate_is_the_middle_of_the_record(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Two rows more than it may have: one is left on each side; of three the odd one is at the end."""
-    monkeypatch.setattr(full_rate, "MOST_ROWS", 60)
+    monkeypatch.setattr(lines, "MOST_ROWS_FAST", 60)
     for rows in (62, 63):
         whole = bench.problem.telemetry.select(slice(0, rows))
-        near = full_rate._stretch(whole, bench.problem, [(bench.problem.modelled[0], np.zeros(3))], [])
+        near = lines._stretch(whole, bench.problem, [(bench.problem.modelled[0], np.zeros(3))], [])
         assert np.array_equal(near.time, whole.time[1:61])

@@ -19,13 +19,11 @@ from worlds import scenario_text
 
 from fluxtwin import diagnosing, diagnosis_page
 from fluxtwin.gap.channels import momentum_noise
-from fluxtwin.gap.channels.momentum import MomentumChannel
+from fluxtwin.gap.channels.momentum import MomentumChannel, plain_torques
 from fluxtwin.gap.channels.momentum_arcs import Arcs, Craft, Windows, _filled, arcs, windows
-from fluxtwin.gap.channels.momentum_images import plain_torques
 from fluxtwin.gap.posterior.torques import Momentum, balanced
 from fluxtwin.gap.problem.problem import Budget, Problem, pose
-from fluxtwin.gap.records.diagnosis import Diagnosis
-from fluxtwin.gap.records.schema import diagnosis_schema
+from fluxtwin.gap.records.diagnosis import Diagnosis, diagnosis_schema
 from fluxtwin.sim.earth import frames
 from fluxtwin.sim.earth.field import load_field
 from fluxtwin.sim.run.flights import vehicle_of

@@ -25,9 +25,8 @@ from fluxtwin.gap.noise.budget import (
     prior_of,
     reading_spacing,
 )
-from fluxtwin.gap.noise.choice import _affordable, choose_noise, complete_budget, select_noise
+from fluxtwin.gap.noise.choice import Data, Likelihood, _affordable, choose_noise, complete_budget, select_noise
 from fluxtwin.gap.noise.kernels import predict_each
-from fluxtwin.gap.noise.reml import Data, Likelihood
 from fluxtwin.gap.noise.robust_rows import first_weights, spike_weights, standing_out, weights_of
 from fluxtwin.gap.noise.whitening import NoiseModel, Whitener, make_whitener, with_walk
 from fluxtwin.gap.problem.problem import Budget, Problem, pose

@@ -17,14 +17,12 @@ import pytest
 from worlds import scenario_text
 
 from fluxtwin.gap.detectors.residual_structure import Structure, judge
-from fluxtwin.gap.hypotheses.blocks import Block, _orbit_and_time, blocks
-from fluxtwin.gap.hypotheses.conditions import regions
-from fluxtwin.gap.hypotheses.courses import _hats, courses
+from fluxtwin.gap.hypotheses.blocks import Block, _orbit_and_time, blocks, regions
 from fluxtwin.gap.hypotheses.evidence import Dictionary, fit_all
 from fluxtwin.gap.linear.projection import projected
 from fluxtwin.gap.noise.whitening import NoiseModel, Whitener, make_whitener
 from fluxtwin.gap.posterior import where
-from fluxtwin.gap.posterior.where import _variance, locate, step_fits
+from fluxtwin.gap.posterior.where import _hats, _variance, courses, locate, step_fits
 from fluxtwin.gap.problem.problem import Problem, pose
 from fluxtwin.gap.problem.row_axes import turn_images
 from fluxtwin.gap.records.diagnosis import Place

@@ -10,22 +10,19 @@ import numpy as np
 from fluxtwin.gap.channels import sun_nadir
 from fluxtwin.gap.channels.momentum_arcs import Craft
 from fluxtwin.gap.channels.two_magnetometers import Cause, apart
-from fluxtwin.gap.detectors.codes import coarse_steps, floor_noise, stochastic_nT
+from fluxtwin.gap.detectors.codes import coarse_steps, floor_noise, in_the_readings, stochastic_nT
 from fluxtwin.gap.detectors.finding import Finding
 from fluxtwin.gap.detectors.lines import MOST_ROWS_FAST, full_rate
-from fluxtwin.gap.detectors.proposals import in_the_readings
 from fluxtwin.gap.detectors.random_walk import worth_of_a_walk
 from fluxtwin.gap.detectors.residual_structure import Structure, judge, residual_structure
 from fluxtwin.gap.held_out.held_out import Fitted, Prediction, floor_rms_nT, one_step, predict_blocks
-from fluxtwin.gap.hypotheses.blocks import blocks
+from fluxtwin.gap.hypotheses.blocks import BlockFit, Dictionary, blocks
 from fluxtwin.gap.hypotheses.candidates import candidates
-from fluxtwin.gap.hypotheses.evidence import BlockFit, Dictionary
 from fluxtwin.gap.hypotheses.perturbed_design import PerturbedDesign
 from fluxtwin.gap.law.found import closed_by, law_of
 from fluxtwin.gap.law.words import beside_names
 from fluxtwin.gap.linear.projection import ProjectedResidual, projected
-from fluxtwin.gap.noise.budget import prior_of
-from fluxtwin.gap.noise.choice import NoiseModel, choose_noise, complete_budget, likely_noises, whitener_of
+from fluxtwin.gap.noise.choice import NoiseModel, choose_noise, complete_budget, likely_noises, prior_of, whitener_of
 from fluxtwin.gap.noise.whitening import with_walk
 from fluxtwin.gap.posterior.explanations import Answer, noise_and_answer, without_names
 from fluxtwin.gap.posterior.structured import Structured

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from scipy.special import expit
@@ -31,7 +31,7 @@ from fluxtwin.calib.attitude.horizon_scanner import sun_and_nadir
 from fluxtwin.calib.common.covariance import make_blocks
 from fluxtwin.calib.common.criterion import FALSE_ALARM
 from fluxtwin.gap.linear.projection import orthonormal
-from fluxtwin.gap.records.diagnosis import EffectParameter, FoundEffect
+from fluxtwin.gap.records.diagnosis import EffectParameter, Estimate, FoundEffect, Inner, Record
 from fluxtwin.gap.selection.criterion import THRESHOLD, worth
 from fluxtwin.gap.selection.refit import WHOLLY
 from fluxtwin.gap.selection.search import axis_of
@@ -64,26 +64,26 @@ NOT_THERE = "the angle between sun and nadir does not show it"
 
 
 @dataclass(frozen=True)
-class Hypothesis:
+class Hypothesis(Record):
     """One fault of the attitude sensors and how well it explains the angles."""
 
     name: str
     """A name of the catalogue of effects."""
     head: int | None
     """Of a turned sun-sensor head its number."""
-    parameters: dict[str, tuple[float, float]]
+    parameters: Mapping[str, EffectParameter]
     """Value and sigma in deg by name: `turn_x` ... (sun as measured is the true one so turned), or `roll` ... (measured
     less true). Only what the angle can see: along directions that it cannot see the value is zero."""
     p_value: float
     """That nothing of the kind is there, corrected for the number of hypotheses tried."""
-    worth: float
+    worth: Annotated[float, Inner]
     """By the criterion of all explanations, over the passes: errors within one are taken as one."""
     explained: float
     """Share of the mean square of the angles that it takes away."""
     rms_left_deg: float
     seen: tuple[str, ...] = ()
     """Parameters of which every part is seen; of the others only sums are."""
-    amount_deg: tuple[float, float] = (0.0, 0.0)
+    amount_deg: Estimate = (0.0, 0.0)
     """Length of the vector of parameters, and its sigma along itself, with an allowance for errors that the passes
     share: a digital head rounds alike in all of them."""
 
@@ -96,19 +96,6 @@ class Hypothesis:
     def words(self) -> str:
         """Its name, with the head."""
         return self.name if self.head is None else f"{self.name} of head {self.head}"
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain numbers and text."""
-        return {
-            "name": self.name,
-            "head": self.head,
-            "parameters": {k: {"value": v, "sigma": s, "unit": "deg"} for k, (v, s) in self.parameters.items()},
-            "p_value": self.p_value,
-            "explained": self.explained,
-            "rms_left_deg": self.rms_left_deg,
-            "seen": list(self.seen),
-            "amount_deg": {"value": self.amount_deg[0], "sigma": self.amount_deg[1]},
-        }
 
 
 @dataclass(frozen=True)
@@ -308,7 +295,8 @@ def _weigh(
     white = float(np.sqrt(np.mean(residual**2)))
     seen = vectors[:, values > (white / _SEEN_RAD) ** 2]
     if not seen.size:
-        return Hypothesis(*key, dict.fromkeys(names, (0.0, 0.0)), 1.0, 0.0, 0.0, float(np.degrees(white)))
+        nothing = dict.fromkeys(names, EffectParameter(0.0, 0.0, "deg"))
+        return Hypothesis(*key, nothing, 1.0, 0.0, 0.0, float(np.degrees(white)))
     A = J @ seen
     inverse = np.linalg.inv(A.T @ A)
     theta = inverse @ (A.T @ residual)
@@ -333,7 +321,7 @@ def _weigh(
     return Hypothesis(
         name=key[0],
         head=key[1],
-        parameters={name: (value, spread) for name, value, spread in deg},
+        parameters={name: EffectParameter(value, spread, "deg") for name, value, spread in deg},
         p_value=min(1.0, p_value * tried),
         worth=worth(float(chi2.isf(max(p_value, 1e-300), k)), k, max(n, 2), float(np.log(tried))),
         explained=float(1.0 - np.mean(left**2) / np.mean(residual**2)),
@@ -459,8 +447,7 @@ def _entry(weighed: SunNadir, named: Hypothesis) -> FoundEffect:
     """The fault as a cause. A parameter of which only sums with others are seen has no sigma."""
     head = named.head is not None
     parameters = {
-        name: EffectParameter(value, sigma if name in named.seen else None, "deg")
-        for name, (value, sigma) in named.parameters.items()
+        name: one if name in named.seen else replace(one, sigma=None) for name, one in named.parameters.items()
     }
     return FoundEffect(
         name=named.name,
@@ -470,7 +457,7 @@ def _entry(weighed: SunNadir, named: Hypothesis) -> FoundEffect:
         parameters=parameters,
         settings={"head": named.head} if head else {},
         stage="attitude",
-        axis=axis_of(np.array([value for value, _ in named.parameters.values()]) ** 2) if head else "all",
+        axis=axis_of(np.array([one.value for one in named.parameters.values()]) ** 2) if head else "all",
         frame="body" if head else "orbital",
         condition="head" if head else "latitude",
         significance=named.p_value,

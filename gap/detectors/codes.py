@@ -10,11 +10,10 @@ from scipy import stats
 from scipy.special import gammaln
 
 from fluxtwin.gap.detectors.finding import Finding, gaussian
-from fluxtwin.gap.linear.projection import ProjectedResidual
-from fluxtwin.gap.noise.budget import NOISE_LOG_SD
-from fluxtwin.gap.noise.choice import NoiseModel
-from fluxtwin.gap.noise.robust_rows import CUT_SIGMA
-from fluxtwin.gap.problem.problem import Budget
+from fluxtwin.gap.linear.projection import ProjectedResidual, projected
+from fluxtwin.gap.noise.choice import NOISE_LOG_SD, NoiseModel, Whitener, complete_budget
+from fluxtwin.gap.noise.robust_rows import CUT_SIGMA, RobustRows
+from fluxtwin.gap.problem.problem import Budget, Problem
 from fluxtwin.gap.selection.criterion import FEWEST, THRESHOLD, worth
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.effects.chain import Active
@@ -240,3 +239,37 @@ def floor_noise(findings: Sequence[Finding], noise: NoiseModel, budget: Budget) 
     if budget.attitude_sigma_rad is not None:
         theta = budget.attitude_sigma_rad
     return white, theta
+
+
+def in_the_readings(
+    problem: Problem,
+    whitener: Whitener,
+    robust: RobustRows,
+    residual_nT: FloatArray,
+    fitted_nT: FloatArray,
+    shape_nT: float | None,
+    found: Sequence[Finding],
+) -> tuple[Finding, ...]:
+    """Those found before, then what the codes and the level of the noise say, confirmed or not.
+
+    residual_nT (N, 3), fitted_nT (N, 3, q): given the named effects. shape_nT: what these may leave besides noise; None
+    where something unknown is left. found: a coarser step and structured causes.
+    """
+    reading, lsb = np.asarray(problem.telemetry.mag_B_nT), complete_budget(problem).lsb_nT
+    noise = whitener.noise
+    step = next((float(one.theta[0]) for one in found if one.name == "coarse_quantization"), lsb)
+    stuck: Finding | None = None
+    findings: list[Finding | None] = [*found]
+    whole = problem.measured.all(axis=1)  # elsewhere the axis of a spike is not known
+    if lsb is not None and lsb > 0 and step is not None and whole.any():
+        stuck = stuck_bit(reading[whole], (reading - residual_nT)[whole], lsb, step)
+        findings.append(stuck)
+        if stuck is None:
+            difference = residual_nT if robust.difference_nT is None else robust.difference_nT
+            findings.append(flipped_bits(reading[whole], difference[whole], robust.cut[whole], lsb))
+    walks = any(one.name == "bias_random_walk" for one in found)
+    if noise.sigma_prior_nT > 0 and not walks and not (stuck is not None and stuck.confirmed):
+        rest = projected(whitener, residual_nT, fitted_nT)
+        measured = None if problem.axes is None else problem.measured
+        findings.append(noise_level(rest, noise.white_nT, noise.sigma_prior_nT, shape_nT, measured))
+    return tuple(finding for finding in findings if finding is not None)

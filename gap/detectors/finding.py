@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fluxtwin.gap.hypotheses.evidence import BlockFit
+from fluxtwin.gap.hypotheses.blocks import BlockFit
 from fluxtwin.gap.linear.projection import SHARE_LEFT, ProjectedResidual
 from fluxtwin.gap.selection import criterion
 from fluxtwin.gap.selection.criterion import SHAPE, THRESHOLD, worth

@@ -15,8 +15,7 @@ from scipy import stats
 
 from fluxtwin.calib.common.criterion import FALSE_ALARM
 from fluxtwin.gap.detectors.finding import Finding, Fitted, does_as_well, drivers, fitted, in_parts, stands_out, varies
-from fluxtwin.gap.hypotheses.blocks import in_body
-from fluxtwin.gap.hypotheses.evidence import BlockFit
+from fluxtwin.gap.hypotheses.blocks import BlockFit, in_body
 from fluxtwin.gap.linear.projection import ProjectedResidual, projected
 from fluxtwin.gap.noise.choice import RobustRows, Whitener, noise_of, whitener_of
 from fluxtwin.gap.problem.problem import Problem, pose, realigned

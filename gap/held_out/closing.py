@@ -15,7 +15,7 @@ import numpy as np
 
 from fluxtwin.calib.common.orbit_error import ahead
 from fluxtwin.calib.common.records import Calibration
-from fluxtwin.gap.noise.budget import reading_spacing
+from fluxtwin.gap.noise.choice import reading_spacing
 from fluxtwin.gap.problem.problem import CALIBRATION, calibrated, corrected, pose
 from fluxtwin.gap.records.diagnosis import Closure, EffectParameter, Transfer
 from fluxtwin.gap.selection.forward import RATIOS

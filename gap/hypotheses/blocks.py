@@ -8,17 +8,24 @@ or local axes. (Kennedy & O'Hagan 2001 put one discrepancy at the output; here e
 A condition is columns of numbers along the record. The names are those of a diagnosis (`sunlit eclipse torquer latitude
 orbit_phase temperature current field_strength time after_time head rate region flag:NAME`; a named driver adds its
 `driver:NAME`); `label` tells variants of one name apart.
+
+How much a block explains of a residual follows from small Gram matrices, in whitened units with the fitted columns projected
+out: it is only credited with what calibration and the named effects cannot do. A block is made, whitened, reduced to its
+Gram matrix and forgotten: memory does not grow with the number of blocks.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import partial
+from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
 from fluxtwin.gap.hypotheses.perturbed_design import PerturbedDesign, alike
+from fluxtwin.gap.linear.projection import ProjectedResidual, Whitens, explained
 from fluxtwin.gap.problem.problem import Problem
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.earth import frames, sun
@@ -39,6 +46,8 @@ LEAST_SHARE = 0.02
 STAGES = ("time", "orbit", "field", "attitude", "spacecraft", "sensor")
 """Where a discrepancy of this kind can lie; dynamics and telemetry have none."""
 _FIELD_DEGREES = (1, 3, 6, 10)
+_MOST_BYTES = 100e6  # that the whitened columns of a design may take between two questions
+_TOGETHER = 8  # blocks that are whitened at once: so many columns fit the cache of a core
 
 
 @dataclass(frozen=True)
@@ -396,3 +405,105 @@ def _spread(vectors: FloatArray, columns: FloatArray) -> FloatArray:
     """(N, 3, 3k): each of the vectors (N, 3, m) times each of the columns (N, k); the vectors run fastest."""
     spread = vectors[:, :, None, :] * columns[:, None, :, None]
     return np.asarray(spread.reshape(len(columns), 3, -1))
+
+
+@dataclass(frozen=True, eq=False)
+class BlockFit:
+    """A block against a residual: what its projected columns explain of it."""
+
+    block: Block
+    gram: FloatArray
+    """(k, k) of the whitened columns with the fitted ones out of them."""
+    moment: FloatArray
+    """(k,) of these columns with the residual."""
+    size: FloatArray
+    """(k,) squared lengths of the whitened columns before the projection: what rank is measured against."""
+    least_share: float
+    searched: int = 0
+    """Parameters that no column has: a moment, a frequency."""
+    _known: dict[bytes, tuple[float, int]] = field(default_factory=dict, init=False)
+    """By columns, what they explain."""
+
+    def explained(self, columns: BoolArray | None = None) -> tuple[float, int]:
+        """Drop of chi-square by all columns, or by some of them (k,), and the number of parameters that are seen."""
+        pick = np.ones(self.moment.size, dtype=np.bool_) if columns is None else columns
+        key = pick.tobytes()
+        if key not in self._known:
+            self._known[key] = self._explained(pick)
+        return self._known[key]
+
+    def _explained(self, pick: BoolArray) -> tuple[float, int]:
+        pick = pick & (np.diag(self.gram) > self.least_share * self.size)
+        if not pick.any():
+            return 0.0, 0
+        least = self.least_share * float(self.size[pick].max())
+        drop, rank = explained(self.gram[np.ix_(pick, pick)], self.moment[pick], least)
+        return drop, rank + self.searched
+
+
+def fit(block: Block, left: ProjectedResidual) -> BlockFit:
+    """Make a block, whiten it, project it, and keep what counts."""
+    free, size = left.project(block.make())
+    return BlockFit(block, free.T @ free, free.T @ left.residual, size, left.least_share)
+
+
+class Dictionary:
+    """The blocks of a design side by side.
+
+    Blocks are only compared through their own small Gram matrices, so what a residual's basis takes from all of them is one
+    product of matrices. What is whitened is kept for the next question under the same noise model; where it takes too much
+    room, some blocks are made and whitened at a time, and forgotten.
+    """
+
+    def __init__(self, found: Sequence[Block], rows: int, most_bytes: float = _MOST_BYTES) -> None:
+        self.found, self.rows = tuple(found), rows
+        self.kept = 24 * rows * sum(len(block.axes) for block in self.found) <= most_bytes
+        self._latest: tuple[Whitens, _Part] | None = None
+
+    def _white(self, whitener: Whitens) -> Iterator[_Part]:
+        """Whitened blocks, all or some at a time."""
+        if self._latest is not None and self._latest[0] is whitener:
+            yield self._latest[1]
+            return
+        self._latest, together = None, max(len(self.found), 1) if self.kept else _TOGETHER
+        for first in range(0, len(self.found), together):
+            part = self._part(self.found[first : first + together], whitener)
+            if self.kept:
+                self._latest = (whitener, part)
+            yield part
+
+    def _part(self, blocks: Sequence[Block], whitener: Whitens) -> _Part:
+        ends = np.cumsum([0, *(len(block.axes) for block in blocks)]).tolist()
+        white = np.empty((3 * self.rows, ends[-1]))
+        for first in range(0, len(blocks), _TOGETHER):
+            last = min(first + _TOGETHER, len(blocks))
+            made = np.concatenate([block.make() for block in blocks[first:last]], axis=2)
+            white[:, ends[first] : ends[last]] = whitener.apply(made).reshape(-1, made.shape[2])
+        slices = [slice(*pair) for pair in pairwise(ends)]
+        return _Part(blocks, white, slices, [white[:, one].T @ white[:, one] for one in slices])
+
+    def fits(self, left: ProjectedResidual) -> list[BlockFit]:
+        """`fit` for each block."""
+        return self.fits_each([left])[0]
+
+    def fits_each(self, lefts: Sequence[ProjectedResidual]) -> list[list[BlockFit]]:
+        """`fits` for each of some residuals that were whitened alike."""
+        found: list[list[BlockFit]] = [[] for _ in lefts]
+        for part in self._white(lefts[0].whitener):
+            for left, fits in zip(lefts, found, strict=True):
+                along = part.white.T @ np.column_stack([left.basis, left.residual])
+                for block, here, gram in zip(part.blocks, part.slices, part.grams, strict=True):
+                    basis, moment = along[here, :-1], along[here, -1]
+                    fits.append(BlockFit(block, gram - basis @ basis.T, moment, np.diag(gram), left.least_share))
+        return found
+
+
+class _Part(NamedTuple):
+    """Some blocks of a design."""
+
+    blocks: Sequence[Block]
+    white: FloatArray
+    """(3N, k) their columns, whitened."""
+    slices: list[slice]
+    """Where each of them stands."""
+    grams: list[FloatArray]

@@ -17,10 +17,9 @@ from scipy.special import softmax
 
 from fluxtwin.gap.detectors.finding import Finding
 from fluxtwin.gap.detectors.residual_structure import Structure, judge
+from fluxtwin.gap.hypotheses.blocks import Dictionary
 from fluxtwin.gap.hypotheses.candidates import Candidate
-from fluxtwin.gap.hypotheses.evidence import Dictionary
 from fluxtwin.gap.linear.projection import projected, projected_white
-from fluxtwin.gap.noise.budget import prior_of
 from fluxtwin.gap.noise.choice import (
     NoiseModel,
     RobustRows,
@@ -28,6 +27,7 @@ from fluxtwin.gap.noise.choice import (
     choose_noise,
     complete_budget,
     noise_beside,
+    prior_of,
     whitener_of,
 )
 from fluxtwin.gap.problem.problem import Problem

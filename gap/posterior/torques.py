@@ -12,8 +12,7 @@ from fluxtwin.gap.channels.momentum import DYNAMICS, MomentumChannel, ahead_km, 
 from fluxtwin.gap.channels.momentum_arcs import Craft, Windows, arcs, windows
 from fluxtwin.gap.detectors.residual_structure import Structure
 from fluxtwin.gap.held_out.held_out import BLOCKS, Prediction
-from fluxtwin.gap.hypotheses.blocks import Block
-from fluxtwin.gap.hypotheses.evidence import fit
+from fluxtwin.gap.hypotheses.blocks import Block, fit
 from fluxtwin.gap.linear.projection import projected
 from fluxtwin.gap.noise.whitening import Whitener
 from fluxtwin.gap.posterior.explanations import ROUNDS, likeliest, weighed

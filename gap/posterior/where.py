@@ -27,9 +27,18 @@ from scipy.special import expit, softmax
 
 from fluxtwin.gap.channels.two_magnetometers import OWN_STAGES
 from fluxtwin.gap.detectors.residual_structure import likeliest_step
-from fluxtwin.gap.hypotheses.blocks import DEFAULT_BODY, STAGES, Block, Carrier, always, step_block
+from fluxtwin.gap.hypotheses.blocks import (
+    DEFAULT_BODY,
+    STAGES,
+    Block,
+    BlockFit,
+    Carrier,
+    Dictionary,
+    always,
+    fit,
+    step_block,
+)
 from fluxtwin.gap.hypotheses.candidates import Candidate
-from fluxtwin.gap.hypotheses.evidence import BlockFit, Dictionary, fit, fit_all
 from fluxtwin.gap.linear.projection import SHARE_LEFT, ProjectedResidual, Whitens, projected, share_mimicked
 from fluxtwin.gap.problem.problem import Problem
 from fluxtwin.gap.records.diagnosis import Place
@@ -172,14 +181,15 @@ def where(
     left = projected(whitener, residual_nT, fitted)
     own = catalogue_blocks(problem, candidates)
     steps = step_fits(problem, left)
-    fits = [*found.fits(left), *fit_all(own, left), *steps]
+    fits = [*found.fits(left), *(fit(block, left) for block in own), *steps]
     free = courses(problem, left) if unexplained else []
     if apart is None:
         return locate(left, fits, free)
     its_left, its_fits = apart
     steps = [replace(fit(one.block, its_left), searched=1) for one in steps]
     its_free = courses(problem, its_left) if unexplained else []
-    return locate(left, fits, free, (its_left, [*its_fits, *fit_all(own, its_left), *steps], its_free))
+    its_fits = [*its_fits, *(fit(block, its_left) for block in own), *steps]
+    return locate(left, fits, free, (its_left, its_fits, its_free))
 
 
 def step_fits(problem: Problem, left: ProjectedResidual) -> list[BlockFit]:

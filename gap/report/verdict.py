@@ -17,12 +17,10 @@ from scipy.stats import norm, poisson
 from fluxtwin.gap.channels.sun_nadir import Angle
 from fluxtwin.gap.channels.two_magnetometers import OWN_STAGES, Apart
 from fluxtwin.gap.detectors.finding import Finding
-from fluxtwin.gap.detectors.proposals import expected
 from fluxtwin.gap.detectors.residual_structure import Structure
 from fluxtwin.gap.held_out.held_out import Prediction, floor_rms_nT
 from fluxtwin.gap.hypotheses.candidates import OF_ERRORS
-from fluxtwin.gap.noise.budget import DECLARED, complete_budget, prior_of
-from fluxtwin.gap.noise.choice import NoiseModel, RobustRows
+from fluxtwin.gap.noise.choice import DECLARED, NoiseModel, RobustRows, complete_budget, prior_of
 from fluxtwin.gap.noise.robust_rows import CUT_SIGMA
 from fluxtwin.gap.posterior.explanations import Answer, signals_of
 from fluxtwin.gap.posterior.stated import as_stated, likelier_unknown
@@ -33,13 +31,15 @@ from fluxtwin.gap.report import words
 from fluxtwin.gap.selection.criterion import GATE, SHAPE_ERROR, still_known
 from fluxtwin.gap.selection.forward import LARGEST
 from fluxtwin.gap.selection.search import Support, found_effect
-from fluxtwin.sim.effects.base import SignalEffect
+from fluxtwin.sim.effects.base import DistributionEffect, SignalEffect
 from fluxtwin.sim.effects.catalogue import find_effect
+from fluxtwin.sim.effects.chain import Active
 from fluxtwin.sim.effects.signal import Setting
 
 _AT_STAGE = 0.9
 """Probability of the stage where its error is beyond the declared one: a judgement, a residual may be large by a cause
 elsewhere."""
+_AS_LARGE = 0.25
 _LEAST_SPREAD = 0.05
 """Standard deviation of the logarithm of the rms, however many rows: structure that nobody looks for is in any record."""
 
@@ -433,3 +433,13 @@ def assumed(budget: Budget, problem: Problem, noise: NoiseModel) -> dict[str, di
         for name, (given, found) in pairs.items()
         if not name.startswith("attitude") or problem.noise_image_nT.any()
     }
+
+
+def expected(finding: Finding, frozen: Sequence[Active]) -> bool:
+    """Whether the scenario has this stochastic effect already, in this size (to a quarter, or three sigma)."""
+    for effect, theta in frozen:
+        if effect.name == finding.name and isinstance(effect, DistributionEffect):
+            bar = max(3.0 * float(finding.sigma[0]) * float(np.sqrt(2.0)), _AS_LARGE * float(theta[0]))
+            if abs(float(finding.theta[0]) - float(theta[0])) <= bar:
+                return True
+    return False

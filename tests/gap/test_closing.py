@@ -16,7 +16,6 @@ from worlds import scenario_text
 
 from fluxtwin.gap.detectors.codes import floor_noise, stochastic_nT, with_frozen_noise
 from fluxtwin.gap.detectors.finding import Finding
-from fluxtwin.gap.detectors.proposals import expected
 from fluxtwin.gap.held_out.closing import Declared, calibration, closed_scenario, settle
 from fluxtwin.gap.held_out.held_out import Prediction, closed_share
 from fluxtwin.gap.held_out.transfer import DAYS, _others, _seen_by_chance, targets, transfers
@@ -25,7 +24,7 @@ from fluxtwin.gap.noise.whitening import NoiseModel, make_whitener
 from fluxtwin.gap.problem.problem import Budget, Problem, pose
 from fluxtwin.gap.problem.row_axes import turn_images
 from fluxtwin.gap.records.diagnosis import Closure
-from fluxtwin.gap.report.verdict import too_many_outliers
+from fluxtwin.gap.report.verdict import expected, too_many_outliers
 from fluxtwin.gap.selection.refit import Readings, refit
 from fluxtwin.gap.selection.search import Support, found_effect
 from fluxtwin.sim.base.errors import BadInput

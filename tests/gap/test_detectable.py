@@ -8,8 +8,7 @@ from scipy.signal import lfilter
 from scipy.stats import chi2, f
 
 from fluxtwin.gap.linear.projection import projected
-from fluxtwin.gap.noise.budget import NoisePrior
-from fluxtwin.gap.noise.choice import Data, Likelihood, noises_about, select_noise
+from fluxtwin.gap.noise.choice import Data, Likelihood, NoisePrior, noises_about, select_noise
 from fluxtwin.gap.noise.whitening import NoiseModel, Whitener, make_whitener
 from fluxtwin.gap.problem.row_axes import turn_images
 from fluxtwin.gap.selection.criterion import GATE, THRESHOLD, penalty, stands_out

@@ -11,16 +11,14 @@ import numpy as np
 import pytest
 from worlds import scenario_text
 
-from fluxtwin.gap.detectors import lines, switched_region, two_state
+from fluxtwin.gap.detectors import lines, switched
 from fluxtwin.gap.detectors.codes import coarse_steps, flipped_bits, noise_level, stuck_bit
 from fluxtwin.gap.detectors.finding import Finding
 from fluxtwin.gap.detectors.lines import companion, strongest_line, wheel_line
 from fluxtwin.gap.detectors.random_walk import modes_of_a_walk, random_walk
 from fluxtwin.gap.detectors.residual_structure import drift, judge
-from fluxtwin.gap.detectors.switched_region import _Place, _place, _snug
-from fluxtwin.gap.detectors.two_state import _scatter, heater_sequence
-from fluxtwin.gap.hypotheses.blocks import Block, blocks
-from fluxtwin.gap.hypotheses.evidence import fit_all
+from fluxtwin.gap.detectors.switched import _Place, _place, _scatter, _snug, heater_sequence
+from fluxtwin.gap.hypotheses.blocks import Block, blocks, fit
 from fluxtwin.gap.linear.projection import projected
 from fluxtwin.gap.noise.whitening import NoiseModel, Whitener, likeliest_rate, make_whitener, with_walk
 from fluxtwin.gap.posterior import structured
@@ -83,7 +81,7 @@ class Bench:
         residual = signal + sigma * rng.standard_normal((self.problem.rows, 3))
         setting = self.problem.setting
         left = projected(self.whitener, residual, self.calibration)
-        fits = fit_all(self.found, left)
+        fits = [fit(block, left) for block in self.found]
         verdict, line = judge(self.problem, left, fits), strongest_line(setting.seconds, left)
         findings: list[Finding | None] = [
             noise_level(left, SIGMA_NT, SIGMA_NT, None if verdict.structured else 0.0),
@@ -331,9 +329,9 @@ def test_the_edges_of_as_many_switches_as_are_allowed_are_moved(
     """Two switches, of which one is a row late; likelier is what has more rows right."""
     truth, nothing = np.arange(20) // 5 == 1, SimpleNamespace()
     found = truth & (np.arange(20) != 5)
-    monkeypatch.setattr(two_state, "_MOST_SWITCHES", most)
-    monkeypatch.setattr(two_state, "_worth", lambda left, on: 10.0 * np.sum(on == truth))
-    again = two_state._polished(nothing, found)  # type: ignore[arg-type]
+    monkeypatch.setattr(switched, "_MOST_SWITCHES", most)
+    monkeypatch.setattr(switched, "_worth", lambda left, on: 10.0 * np.sum(on == truth))
+    again = switched._polished(nothing, found)  # type: ignore[arg-type]
     assert np.array_equal(again, truth if polished else found)
 
 
@@ -366,8 +364,8 @@ def test_of_two_regions_the_one_that_explains_more_is_found(monkeypatch: pytest.
         on = image[:, 0, 0] > 0.0
         return SimpleNamespace(drop=signal_nT[on].sum() ** 2 / on.sum())
 
-    monkeypatch.setattr(switched_region, "fitted", drop)
-    found = switched_region._Search(SimpleNamespace(), place).best()  # type: ignore[arg-type]
+    monkeypatch.setattr(switched, "fitted", drop)
+    found = switched._Search(SimpleNamespace(), place).best()  # type: ignore[arg-type]
     assert found is not None and found.box == pytest.approx((20.0, 40.0, 32.0, 60.0), abs=4.0)
 
 

@@ -16,9 +16,8 @@ import pytest
 from scipy.signal import lfilter
 from worlds import PARTS, scenario_text
 
-from fluxtwin.gap.hypotheses.blocks import blocks
+from fluxtwin.gap.hypotheses.blocks import Dictionary, blocks
 from fluxtwin.gap.hypotheses.candidates import Candidate, candidates, made
-from fluxtwin.gap.hypotheses.evidence import Dictionary
 from fluxtwin.gap.linear.projection import projected_out
 from fluxtwin.gap.noise.robust_rows import RobustRows
 from fluxtwin.gap.noise.whitening import NoiseModel, Whitener, make_whitener

@@ -9,7 +9,7 @@ import numpy as np
 
 from fluxtwin.gap.channels import sun_nadir
 from fluxtwin.gap.channels.momentum_arcs import Craft
-from fluxtwin.gap.channels.two_magnetometers import Cause, apart
+from fluxtwin.gap.channels.two_magnetometers import apart
 from fluxtwin.gap.detectors.codes import coarse_steps, floor_noise, in_the_readings, stochastic_nT
 from fluxtwin.gap.detectors.finding import Finding
 from fluxtwin.gap.detectors.lines import MOST_ROWS_FAST, full_rate
@@ -17,8 +17,7 @@ from fluxtwin.gap.detectors.random_walk import worth_of_a_walk
 from fluxtwin.gap.detectors.residual_structure import Structure, judge, residual_structure
 from fluxtwin.gap.held_out.held_out import Fitted, Prediction, floor_rms_nT, one_step, predict_blocks
 from fluxtwin.gap.hypotheses.blocks import BlockFit, Dictionary, blocks
-from fluxtwin.gap.hypotheses.candidates import candidates
-from fluxtwin.gap.hypotheses.perturbed_design import PerturbedDesign
+from fluxtwin.gap.hypotheses.candidates import PerturbedDesign, candidates
 from fluxtwin.gap.law.found import closed_by, law_of
 from fluxtwin.gap.law.words import beside_names
 from fluxtwin.gap.linear.projection import ProjectedResidual, projected
@@ -125,7 +124,7 @@ def diagnose(
     notes += [] if new == 1 else [words.repeated_rounding(new)]
     notes += [] if every == 1 else [words.thinned(every, MOST_ROWS_FAST)]
     if work.angle is not None:
-        facts["sun_nadir"] = work.angle.to_dict()
+        facts["sun_nadir"] = {**work.angle.to_dict(), "ruled_out": list(work.angle.ruled_out)}
         notes += work.angle.notes
     found = verdict.assemble(
         work,
@@ -187,7 +186,7 @@ def _denied(work: Work) -> dict[str, str]:
             stage = find_effect(name).stage
             likely = [one.jacobian for one in result.candidates if one.name == name and one.live.any()]
             trials = [columns[name]] if name == effect.name else likely
-            if work.apart.denies(readings, [Cause(stage, one, image_nT) for one in trials], others):
+            if work.apart.denies(readings, stage, trials, image_nT, others):
                 gone[name] = words.DENIED_SENSOR if stage == "sensor" else words.DENIED_SHARED
     return gone
 

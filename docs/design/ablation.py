@@ -93,10 +93,7 @@ RULES: dict[str, dict[str, Any]] = {
         f"{GAP}.noise.choice.share_of_errors": lambda _, least: least,
     },
     "the field shortened by a turn": {f"{GAP}.problem.problem.Problem._unshortened": lambda *given: given[1]},
-    "images that follow the attitude's error": {
-        f"{GAP}.hypotheses.candidates.MOST_CHANGED": np.inf,
-        f"{GAP}.hypotheses.perturbed_design.MOST_CHANGED": np.inf,
-    },
+    "images that follow the attitude's error": {f"{GAP}.hypotheses.candidates.MOST_CHANGED": np.inf},
     "multiples of the declared step": {f"{GAP}.detectors.codes._common_multiple": lambda *_: []},
     "data quieter than their noise model": {f"{GAP}.selection.score._QUIETEST": 0.0},
     "check: a walk that comes back": {f"{GAP}.detectors.random_walk._COME_BACK": ()},

@@ -266,7 +266,7 @@ def image_of(windows: Windows, effect: SignalEffect, on: Sequence[Active], theta
         return np.asarray(-(high * low.inv()).as_rotvec())
 
     def elsewhere(up: FloatArray, down: FloatArray) -> FloatArray:
-        there = (arcs.elsewhere(orbit_of(arcs.problem, [*others, (effect, value)])) for value in (up, down))
+        there = (arcs.but(orbit=orbit_of(arcs.problem, [*others, (effect, value)])) for value in (up, down))
         high, low = (one.flown(arcs.craft.vehicle) for one in there)
         return high - low
 
@@ -293,7 +293,8 @@ def unresolved(windows: Windows) -> FloatArray:
             quick = known - uniform_filter1d(known, span, axis=0, mode="nearest")
             parts += [arcs.flown(vehicle, wheels_B=quick * axis) - arcs.base for axis in axes if np.any(quick * axis)]
         moved = np.any(np.diff(arcs.dipole_B_Am2, axis=0) != 0.0, axis=0)
-        parts += [arcs.holding(axis).flown(vehicle) - arcs.base for axis in range(3) if moved[axis]]
+        held = [arcs.held | (np.arange(3) == axis) for axis in np.flatnonzero(moved)]
+        parts += [arcs.but(held=one).flown(vehicle) - arcs.base for one in held]
     if not parts:
         return np.zeros((windows.rows.size, 3, 0))
     return windows.chained(np.stack(parts, axis=2))
@@ -414,19 +415,17 @@ class MomentumChannel(Channel):
         return vehicle, others
 
     def residual(self, active: Sequence[Active]) -> FloatArray:
-        """(N + M, 3) whitened, with these effects on."""
         return self.apply(self.raw(active))
 
     def jacobian(self, active: Sequence[Active]) -> FloatArray:
         """(N + M, 3, p) whitened images, about a vehicle without any effect: a motion that is far from the vehicle's own is
-        made anew (see `Arcs.along`)."""
+        made anew (see `Windows.followed`)."""
         for effect, _ in active:
             if effect not in self._white:
                 self._white[effect] = self.apply(self.columns(effect))
         return np.concatenate([self._white[effect] for effect, _ in active], axis=2)
 
     def candidate(self, effect: SignalEffect, modelled: Sequence[Active]) -> Candidate:
-        """One of the causes."""
         return next(cause for cause in self.causes if cause.effect == effect)
 
     @cached_property

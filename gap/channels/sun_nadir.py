@@ -40,6 +40,7 @@ from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import epoch, frames, sun
 from fluxtwin.sim.earth.frames import angle_between
 from fluxtwin.sim.effects.chain import Active
+from fluxtwin.sim.effects.clock_and_orbit import AlongTrackError
 from fluxtwin.sim.telemetry.record import Telemetry
 
 FEWEST_PASSES = 8
@@ -59,7 +60,6 @@ _SEEN_RAD = float(np.radians(0.1))
 Key = tuple[str, int | None]
 Designs = dict[Key, tuple[tuple[str, ...], FloatArray]]
 """By fault and head: names of the parameters, and the change of the angle per radian of each (N, k)."""
-_ORBIT = "along_track_error"
 NOT_THERE = "the angle between sun and nadir does not show it"
 
 
@@ -108,6 +108,10 @@ class SunNadir:
     """Measured less computed angle."""
     hypotheses: tuple[Hypothesis, ...]
     """Best first."""
+    ruled_out: tuple[str, ...] = ()
+    """Names that readings would accept and the angle does not."""
+    of_rotation: bool = False
+    """Whether readings name a rotation in S, or might."""
 
     @property
     def named(self) -> Hypothesis | None:
@@ -150,6 +154,38 @@ class SunNadir:
             "hypotheses": [item.to_dict() for item in self.hypotheses],
             "words": self.words,
         }
+
+    @property
+    def notes(self) -> list[str]:
+        """Sentences."""
+        speaks = self.named is not None or bool(self.ruled_out) or self.of_rotation
+        why = "would explain the readings, but the angle between sun and nadir does not show it: ruled out"
+        return [*([self.words] if speaks else []), *(f"{name} {why}" for name in self.ruled_out)]
+
+    def beside(self, effects: Sequence[FoundEffect]) -> tuple[list[FoundEffect], FoundEffect | None]:
+        """The effects with what the angle shows: one of them confirmed; or one more, apart."""
+        named = self.named
+        if named is None:
+            return list(effects), None
+        for fault in (named, *self.rivals):  # what the readings name goes before what the angle likes best
+            for place, one in enumerate(effects):
+                if one.name == fault.name and (one.settings.get("head") or None) == fault.head:
+                    confirmed = _confirmed(one, _entry(self, fault))
+                    return [*effects[:place], confirmed, *effects[place + 1 :]], None
+        return list(effects), _entry(self, named)
+
+    def said(self, others: str | None, left_nT: float) -> str:
+        """What it names, in words, after those on other causes; left_nT: what the readings have where there are none."""
+        named = self.named
+        assert named is not None
+        size, sigma = named.amount_deg
+        shown = (
+            f"{named.words} ({size:.2f} ± {sigma:.2f} deg in the directions that the angle can see): it lowers the error of "
+            f"the angle between sun and nadir from {self.rms_deg:.2f} to {named.rms_left_deg:.2f} deg rms"
+        )
+        if others is None:
+            return f"The gap is explained by {shown}. The magnetometer readings show no gap (residual {left_nT:.1f} nT rms)."
+        return f"{others} In addition, there is {shown}."
 
 
 @dataclass(frozen=True, eq=False)
@@ -358,53 +394,6 @@ def _jackknife(
     return np.asarray((len(passes) - 1) / len(passes) * shift.T @ shift)
 
 
-@dataclass(frozen=True)
-class Angle:
-    """What the angle says beside the named effects."""
-
-    weighed: SunNadir
-    ruled_out: tuple[str, ...]
-    """Names that readings would accept."""
-    of_rotation: bool
-    """Whether a rotation in S is named, or might be."""
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain numbers and text for the provenance."""
-        return {**self.weighed.to_dict(), "ruled_out": list(self.ruled_out)}
-
-    @property
-    def notes(self) -> list[str]:
-        """Sentences."""
-        speaks = self.weighed.named is not None or bool(self.ruled_out) or self.of_rotation
-        why = "would explain the readings, but the angle between sun and nadir does not show it: ruled out"
-        return [*([self.weighed.words] if speaks else []), *(f"{name} {why}" for name in self.ruled_out)]
-
-    def beside(self, effects: Sequence[FoundEffect]) -> tuple[list[FoundEffect], FoundEffect | None]:
-        """The effects with what the angle shows: one of them confirmed; or one more, apart."""
-        named = self.weighed.named
-        if named is None:
-            return list(effects), None
-        for fault in (named, *self.weighed.rivals):  # what the readings name goes before what the angle likes best
-            for place, one in enumerate(effects):
-                if one.name == fault.name and (one.settings.get("head") or None) == fault.head:
-                    confirmed = _confirmed(one, _entry(self.weighed, fault))
-                    return [*effects[:place], confirmed, *effects[place + 1 :]], None
-        return list(effects), _entry(self.weighed, named)
-
-    def said(self, others: str | None, left_nT: float) -> str:
-        """What it names, in words, after those on other causes; left_nT: what the readings have where there are none."""
-        named = self.weighed.named
-        assert named is not None
-        size, sigma = named.amount_deg
-        shown = (
-            f"{named.words} ({size:.2f} ± {sigma:.2f} deg in the directions that the angle can see): it lowers the error of "
-            f"the angle between sun and nadir from {self.weighed.rms_deg:.2f} to {named.rms_left_deg:.2f} deg rms"
-        )
-        if others is None:
-            return f"The gap is explained by {shown}. The magnetometer readings show no gap (residual {left_nT:.1f} nT rms)."
-        return f"{others} In addition, there is {shown}."
-
-
 def channel_of(telemetry: Telemetry, frozen: Sequence[Active] = ()) -> Channel | None:
     """The channel with what the scenario's own effects do to it taken out; None where a record has no such channel."""
     if telemetry.sun_B is None or telemetry.nadir_B is None or telemetry.r_N_km is None:
@@ -430,17 +419,17 @@ def ruled_out(named: Sequence[FoundEffect], channel: Channel) -> dict[str, str]:
     return gone
 
 
-def weighed(named: Sequence[FoundEffect], channel: Channel, out: Sequence[str], *, unexplained: bool) -> Angle:
+def weighed(named: Sequence[FoundEffect], channel: Channel, out: Sequence[str], *, unexplained: bool) -> SunNadir:
     """What the angle says beside the named effects, and beside those that it has ruled out. unexplained: whether readings
     have a gap that nothing named explains, which may be a wrong orbit."""
     rotation = any("scale_misalignment" in one.group for one in named)
     beside = channel.beside_orbit() if unexplained else _beside_orbit(named, channel)
-    return Angle(beside.weigh(), tuple(out), rotation)
+    return replace(beside.weigh(), ruled_out=tuple(out), of_rotation=rotation)
 
 
 def _beside_orbit(named: Sequence[FoundEffect], channel: Channel) -> Channel:
     """The channel beside an error of the orbit, where the readings may name one."""
-    return channel.beside_orbit() if any(_ORBIT in (one.name, *one.group) for one in named) else channel
+    return channel.beside_orbit() if any(AlongTrackError.name in (one.name, *one.group) for one in named) else channel
 
 
 def _entry(weighed: SunNadir, named: Hypothesis) -> FoundEffect:

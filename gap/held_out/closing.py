@@ -15,6 +15,7 @@ import numpy as np
 
 from fluxtwin.calib.common.orbit_error import ahead
 from fluxtwin.calib.common.records import Calibration
+from fluxtwin.gap.hypotheses.blocks import OWN_STAGES
 from fluxtwin.gap.noise.choice import reading_spacing
 from fluxtwin.gap.problem.problem import CALIBRATION, calibrated, corrected, pose
 from fluxtwin.gap.records.diagnosis import Closure, EffectParameter, Transfer
@@ -36,7 +37,6 @@ from fluxtwin.sim.telemetry.record import Telemetry
 
 _ROUNDS = 2
 """A change of S by 1 % moves an effect by 1 %, so the second fit is good to 1e-4 of it."""
-_OF_READINGS = ("spacecraft", "sensor")
 
 
 @dataclass(frozen=True, eq=False)
@@ -277,7 +277,7 @@ def without_effects(
     of_readings = [
         one
         for one in active
-        if isinstance(one[0], SignalEffect) and one[0].stage in _OF_READINGS and not one[0].after_noise
+        if isinstance(one[0], SignalEffect) and one[0].stage in OWN_STAGES and not one[0].after_noise
     ]
     setting = pose(telemetry, model, modelled=(), instrument=instrument).setting
     for effect, theta in of_orbit:

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.special import logsumexp
 from scipy.stats import halfnorm, norm
 
-from fluxtwin.gap.hypotheses.perturbed_design import SLOW_S
+from fluxtwin.gap.hypotheses.candidates import SLOW_S
 from fluxtwin.gap.linear.projection import Whitens
 from fluxtwin.gap.problem.problem import Problem
 from fluxtwin.gap.problem.row_axes import RowAxes

@@ -24,7 +24,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fluxtwin.gap.hypotheses.perturbed_design import PerturbedDesign, alike
+from fluxtwin.gap.hypotheses.candidates import PerturbedDesign, alike
 from fluxtwin.gap.linear.projection import ProjectedResidual, Whitens, explained
 from fluxtwin.gap.problem.problem import Problem
 from fluxtwin.sim.base.types import BoolArray, FloatArray
@@ -45,6 +45,8 @@ LEAST_SHARE = 0.02
 """Of the rows: an indicator that holds for less, or for all but less, says nothing."""
 STAGES = ("time", "orbit", "field", "attitude", "spacecraft", "sensor")
 """Where a discrepancy of this kind can lie; dynamics and telemetry have none."""
+OWN_STAGES = ("spacecraft", "sensor")
+"""What is done there is added to the readings of one magnetometer; the others are the same for all."""
 _FIELD_DEGREES = (1, 3, 6, 10)
 _MOST_BYTES = 100e6  # that the whitened columns of a design may take between two questions
 _TOGETHER = 8  # blocks that are whitened at once: so many columns fit the cache of a core

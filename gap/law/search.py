@@ -18,7 +18,7 @@ import numpy as np
 
 from fluxtwin.gap.detectors.residual_structure import PARTS
 from fluxtwin.gap.hypotheses.blocks import LEAST_SHARE, Block, BlockFit, Carrier, Condition, Dictionary, fit
-from fluxtwin.gap.hypotheses.perturbed_design import PerturbedDesign, alike
+from fluxtwin.gap.hypotheses.candidates import PerturbedDesign, alike
 from fluxtwin.gap.linear.projection import ProjectedResidual, projected
 from fluxtwin.gap.noise.choice import Whitener
 from fluxtwin.gap.problem.problem import Problem

@@ -113,7 +113,7 @@ def _about_the_motion(
         before = [one.name for one in found.named]
         moved = Windows(cut.arcs.of(vehicle), cut.windows).followed().followed()
         momentum_N = moved.arcs.momentum_of(cut.arcs.craft.vehicle)
-        again = Windows(cut.arcs.along(moved.arcs.track, momentum_N), cut.windows)
+        again = Windows(cut.arcs.but(track=moved.arcs.track, momentum_N=momentum_N), cut.windows)
         found, vehicle = _searched(problem, again, whitener, result, fitted_nT)
         if [one.name for one in found.named] == before:
             break

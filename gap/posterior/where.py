@@ -25,10 +25,10 @@ from functools import partial
 import numpy as np
 from scipy.special import expit, softmax
 
-from fluxtwin.gap.channels.two_magnetometers import OWN_STAGES
 from fluxtwin.gap.detectors.residual_structure import likeliest_step
 from fluxtwin.gap.hypotheses.blocks import (
     DEFAULT_BODY,
+    OWN_STAGES,
     STAGES,
     Block,
     BlockFit,

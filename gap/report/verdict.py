@@ -14,11 +14,12 @@ from typing import Any
 import numpy as np
 from scipy.stats import norm, poisson
 
-from fluxtwin.gap.channels.sun_nadir import Angle
-from fluxtwin.gap.channels.two_magnetometers import OWN_STAGES, Apart
+from fluxtwin.gap.channels.sun_nadir import SunNadir
+from fluxtwin.gap.channels.two_magnetometers import Apart
 from fluxtwin.gap.detectors.finding import Finding
 from fluxtwin.gap.detectors.residual_structure import Structure
 from fluxtwin.gap.held_out.held_out import Prediction, floor_rms_nT
+from fluxtwin.gap.hypotheses.blocks import OWN_STAGES
 from fluxtwin.gap.hypotheses.candidates import OF_ERRORS
 from fluxtwin.gap.noise.choice import DECLARED, NoiseModel, RobustRows, complete_budget, prior_of
 from fluxtwin.gap.noise.robust_rows import CUT_SIGMA
@@ -64,7 +65,7 @@ class Work:
     """The balance of the momentum."""
     attitude_would_do_rad: float | None
     """Size of an attitude error, 1 sigma per axis, that makes all the structure of the residual; None where none does."""
-    angle: Angle | None = None
+    angle: SunNadir | None = None
     """The angle between sun and nadir; None where it is not measured."""
     apart: Apart | None = None
     """The difference of two magnetometers; None where there is one."""

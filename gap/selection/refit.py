@@ -16,8 +16,7 @@ from scipy.stats import chi2
 
 from fluxtwin.calib.common.criterion import FALSE_ALARM, THRESHOLD, worth
 from fluxtwin.gap.hypotheses.blocks import in_body
-from fluxtwin.gap.hypotheses.candidates import Candidate, candidate_of
-from fluxtwin.gap.hypotheses.perturbed_design import PerturbedDesign
+from fluxtwin.gap.hypotheses.candidates import Candidate, PerturbedDesign, candidate_of
 from fluxtwin.gap.linear.projection import SHARE_LEFT, Whitens, least_share, orthonormal
 from fluxtwin.gap.noise.whitening import Whitener
 from fluxtwin.gap.problem.problem import Problem, calibrated, realigned
@@ -29,6 +28,7 @@ from fluxtwin.sim.effects.chain import Active, jacobian
 from fluxtwin.sim.effects.signal import Setting
 from fluxtwin.sim.effects.switched_field import SwitchedField
 
+_RCOND = 0.1 * float(np.sqrt(SHARE_LEFT))
 _STEPS = 12
 _HALVINGS = 6
 WHOLLY = 0.99  # of a parameter's direction
@@ -236,15 +236,12 @@ class Readings:
         return self.problem.setting
 
     def apply(self, columns: FloatArray) -> FloatArray:
-        """Columns (M, 3) or (M, 3, P) in nT, whitened."""
         return self.whitener.apply(columns)
 
     def residual(self, active: Sequence[Active]) -> FloatArray:
-        """(M, 3) whitened, with these effects on beside the frozen ones."""
         return self.whitener.apply(self.problem.residual_of(active))
 
     def jacobian(self, active: Sequence[Active]) -> FloatArray:
-        """(M, 3, sum of parameters) whitened, in the order of `active`."""
         images = self.problem.derivatives(active)
         return self.whitener.apply(images) if images.shape[2] else images
 
@@ -313,7 +310,7 @@ def _step(jacobian: FloatArray, residual: FloatArray, free: BoolArray) -> FloatA
     if free.any():
         flat = jacobian.reshape(-1, free.size)[:, free]
         length = np.linalg.norm(flat, axis=0)
-        step[free] = np.linalg.lstsq(flat / length, residual.reshape(-1), rcond=_rcond())[0] / length
+        step[free] = np.linalg.lstsq(flat / length, residual.reshape(-1), rcond=_RCOND)[0] / length
     return step
 
 
@@ -321,10 +318,6 @@ def moving(jacobian: FloatArray) -> BoolArray:
     """(p,) parameters that move something, by more than rounding does."""
     length = np.sqrt((jacobian**2).sum(axis=(0, 1)))
     return np.asarray(length > np.finfo(np.float64).eps * length.max(initial=0.0))
-
-
-def _rcond() -> float:
-    return 0.1 * float(np.sqrt(SHARE_LEFT))
 
 
 def covariance_of(jacobian: FloatArray, free: BoolArray) -> tuple[FloatArray, BoolArray, int]:
@@ -335,7 +328,7 @@ def covariance_of(jacobian: FloatArray, free: BoolArray) -> tuple[FloatArray, Bo
     flat = jacobian.reshape(-1, free.size)[:, free]
     length = np.linalg.norm(flat, axis=0)
     _, values, vectors = np.linalg.svd(flat / length, full_matrices=False)
-    good = values > _rcond() * values[0]
+    good = values > _RCOND * values[0]
     turned = vectors[good].T / values[good]
     covariance[np.ix_(free, free)] = (turned @ turned.T) / np.outer(length, length)
     seen[free] = np.sum(vectors[good] ** 2, axis=0) > WHOLLY

@@ -17,7 +17,7 @@ from worlds import scenario_text
 
 from fluxtwin.gap.diagnose import diagnose
 from fluxtwin.gap.hypotheses.blocks import conditions, steady
-from fluxtwin.gap.hypotheses.perturbed_design import PerturbedDesign
+from fluxtwin.gap.hypotheses.candidates import PerturbedDesign
 from fluxtwin.gap.noise.whitening import NoiseModel, make_whitener
 from fluxtwin.gap.problem.problem import Budget, Problem, pose
 from fluxtwin.gap.report.verdict import beyond_budget

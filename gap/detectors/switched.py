@@ -13,7 +13,7 @@ switches more regularly than a random telegraph, if no block of columns does as 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -64,16 +64,9 @@ class _Place:
         turn = np.mod(self.longitude - west, 360.0)
         return np.asarray((self.latitude >= south) & (self.latitude <= north) & (turn <= np.mod(east - west, 360.0)))
 
-
-@dataclass(frozen=True)
-class _Trial:
-    condition: str
-    box: Box
-    gain: float
-
-    @property
-    def effect(self) -> SwitchedField:
-        return SwitchedField(self.condition, region_deg=self.box)
+    def on(self, condition: str, box: Box) -> BoolArray:
+        """(N,) rows in which a field is on."""
+        return np.asarray(self.inside(box) & self.dark[condition])
 
 
 def switched_region(problem: Problem, left: ProjectedResidual, rivals: Sequence[BlockFit]) -> Finding | None:
@@ -86,59 +79,56 @@ def switched_region(problem: Problem, left: ProjectedResidual, rivals: Sequence[
     best = search.best()
     if best is None:
         return None
-    images = problem.derivatives([(best.effect, np.zeros(3))])
+    condition, box = best
+    effect = SwitchedField(condition, region_deg=box)
+    images = problem.derivatives([(effect, np.zeros(3))])
     found = fitted(left, images, _EDGES)
-    value = found.worth(float(np.log(search.tried)), _EDGES)
+    value = found.worth(float(np.log(len(search.known))), _EDGES)
     if value <= THRESHOLD:
         return None
     faults = does_as_well(value, found, rivals)
-    day = place.inside(best.box) & ~search.rows_on(best)
+    day = place.inside(box) & ~place.on(condition, box)
     if day.sum() < _FEWEST_ROWS:
         faults.append(
             "the record has no daytime pass over the region, so a local error of the Earth's field would look the same"
         )
     elif stands_out(left, images, in_body(day.astype(float))):
         faults.append("it is present by day as well")
-    what = f"a field by {best.condition}, {best.effect.region_words}"
-    return Finding(best.effect, found.size, found.sigma, value, what, tuple(faults))
+    what = f"a field by {condition}, {effect.region_words}"
+    return Finding(effect, found.size, found.sigma, value, what, tuple(faults))
 
 
 class _Search:
-    """The boxes that were tried, and what each explains."""
+    """The boxes that were tried."""
 
     def __init__(self, left: ProjectedResidual, place: _Place) -> None:
-        self.left, self.place, self.tried = left, place, 0
-        self._known: dict[bytes, float] = {}
+        self.left, self.place = left, place
+        self.known: dict[bytes, float] = {}
+        """By rows in which the field is on, what it explains."""
 
-    def rows_on(self, trial: _Trial) -> BoolArray:
-        """(N,) rows in which the field is on."""
-        return np.asarray(self.place.inside(trial.box) & self.place.dark[trial.condition])
-
-    def best(self) -> _Trial | None:
-        """The box that explains most, refined edge by edge."""
-        found = [trial for trial in (self._trial(*each) for each in _coarse(self.place)) if trial.gain > 0]
-        if not found:
+    def best(self) -> tuple[str, Box] | None:
+        """Condition and box of the field that explains most, refined edge by edge."""
+        trials = [trial for trial in _coarse(self.place) if self._gain(*trial) > 0.0]
+        if not trials:
             return None
-        best = max(found, key=lambda trial: trial.gain)
+        condition, box = max(trials, key=lambda trial: self._gain(*trial))
         for _ in range(_REFINEMENTS):
-            moved = max((self._trial(best.condition, box) for box in _moved(best.box)), key=lambda trial: trial.gain)
-            if moved.gain <= best.gain + 1e-9:
+            moved = max(_moved(box), key=lambda one: self._gain(condition, one))
+            if self._gain(condition, moved) <= self._gain(condition, box) + 1e-9:
                 break
-            best = moved
-        other = [self._trial(condition, best.box) for condition in self.place.dark]
-        best = max([best, *other], key=lambda trial: trial.gain)
-        return replace(best, box=_snug(self.place, best.box, self.rows_on(best)))
+            box = moved
+        condition = max((condition, *self.place.dark), key=lambda one: self._gain(one, box))
+        return condition, _snug(self.place, box, self.place.on(condition, box))
 
-    def _trial(self, condition: str, box: Box) -> _Trial:
-        trial = _Trial(condition, box, 0.0)
-        on = self.rows_on(trial)
+    def _gain(self, condition: str, box: Box) -> float:
+        """Drop of chi-square; nothing by a box of too few rows, or of most of those in the dark."""
+        on = self.place.on(condition, box)
         if not _FEWEST_ROWS <= on.sum() <= _MOST_OF_DARK * self.place.dark[condition].sum():
-            return trial
+            return 0.0
         key = on.tobytes()
-        if key not in self._known:
-            self.tried += 1
-            self._known[key] = fitted(self.left, in_body(on.astype(float))).drop
-        return replace(trial, gain=self._known[key])
+        if key not in self.known:
+            self.known[key] = fitted(self.left, in_body(on.astype(float))).drop
+        return self.known[key]
 
 
 def _place(setting: Setting) -> _Place:

@@ -20,7 +20,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import pairwise
-from typing import NamedTuple
 
 import numpy as np
 
@@ -452,37 +451,31 @@ def fit(block: Block, left: ProjectedResidual) -> BlockFit:
 class Dictionary:
     """The blocks of a design side by side.
 
-    Blocks are only compared through their own small Gram matrices, so what a residual's basis takes from all of them is one
+    Blocks are only compared through their own small Gram matrices, so what a residual's basis takes from some of them is one
     product of matrices. What is whitened is kept for the next question under the same noise model; where it takes too much
-    room, some blocks are made and whitened at a time, and forgotten.
+    room, it is forgotten.
     """
 
     def __init__(self, found: Sequence[Block], rows: int, most_bytes: float = _MOST_BYTES) -> None:
-        self.found, self.rows = tuple(found), rows
+        self.found = tuple(found)
         self.kept = 24 * rows * sum(len(block.axes) for block in self.found) <= most_bytes
-        self._latest: tuple[Whitens, _Part] | None = None
+        self._latest: tuple[Whitens | None, list[tuple[Sequence[Block], FloatArray]]] = (None, [])
 
-    def _white(self, whitener: Whitens) -> Iterator[_Part]:
-        """Whitened blocks, all or some at a time."""
-        if self._latest is not None and self._latest[0] is whitener:
-            yield self._latest[1]
+    def _white(self, whitener: Whitens) -> Iterator[tuple[Sequence[Block], FloatArray]]:
+        """Some blocks at a time, and (3N, k) their columns, whitened."""
+        if self._latest[0] is whitener:
+            yield from self._latest[1]
             return
-        self._latest, together = None, max(len(self.found), 1) if self.kept else _TOGETHER
-        for first in range(0, len(self.found), together):
-            part = self._part(self.found[first : first + together], whitener)
+        self._latest, every = (None, []), []
+        for first in range(0, len(self.found), _TOGETHER):
+            blocks = self.found[first : first + _TOGETHER]
+            made = np.concatenate([block.make() for block in blocks], axis=2)
+            some = blocks, whitener.apply(made).reshape(-1, made.shape[2])
             if self.kept:
-                self._latest = (whitener, part)
-            yield part
-
-    def _part(self, blocks: Sequence[Block], whitener: Whitens) -> _Part:
-        ends = np.cumsum([0, *(len(block.axes) for block in blocks)]).tolist()
-        white = np.empty((3 * self.rows, ends[-1]))
-        for first in range(0, len(blocks), _TOGETHER):
-            last = min(first + _TOGETHER, len(blocks))
-            made = np.concatenate([block.make() for block in blocks[first:last]], axis=2)
-            white[:, ends[first] : ends[last]] = whitener.apply(made).reshape(-1, made.shape[2])
-        slices = [slice(*pair) for pair in pairwise(ends)]
-        return _Part(blocks, white, slices, [white[:, one].T @ white[:, one] for one in slices])
+                every.append(some)
+            yield some
+        if self.kept:
+            self._latest = (whitener, every)
 
     def fits(self, left: ProjectedResidual) -> list[BlockFit]:
         """`fit` for each block."""
@@ -491,21 +484,15 @@ class Dictionary:
     def fits_each(self, lefts: Sequence[ProjectedResidual]) -> list[list[BlockFit]]:
         """`fits` for each of some residuals that were whitened alike."""
         found: list[list[BlockFit]] = [[] for _ in lefts]
-        for part in self._white(lefts[0].whitener):
-            for left, fits in zip(lefts, found, strict=True):
-                along = part.white.T @ np.column_stack([left.basis, left.residual])
-                for block, here, gram in zip(part.blocks, part.slices, part.grams, strict=True):
+        targets = [np.column_stack([left.basis, left.residual]) for left in lefts]
+        for blocks, white in self._white(lefts[0].whitener):
+            places = [
+                slice(*pair) for pair in pairwise(np.cumsum([0, *(len(block.axes) for block in blocks)]).tolist())
+            ]
+            grams = [white[:, here].T @ white[:, here] for here in places]
+            for left, target, fits in zip(lefts, targets, found, strict=True):
+                along = white.T @ target
+                for block, here, gram in zip(blocks, places, grams, strict=True):
                     basis, moment = along[here, :-1], along[here, -1]
                     fits.append(BlockFit(block, gram - basis @ basis.T, moment, np.diag(gram), left.least_share))
         return found
-
-
-class _Part(NamedTuple):
-    """Some blocks of a design."""
-
-    blocks: Sequence[Block]
-    white: FloatArray
-    """(3N, k) their columns, whitened."""
-    slices: list[slice]
-    """Where each of them stands."""
-    grams: list[FloatArray]

@@ -366,7 +366,7 @@ def test_of_two_regions_the_one_that_explains_more_is_found(monkeypatch: pytest.
 
     monkeypatch.setattr(switched, "fitted", drop)
     found = switched._Search(SimpleNamespace(), place).best()  # type: ignore[arg-type]
-    assert found is not None and found.box == pytest.approx((20.0, 40.0, 32.0, 60.0), abs=4.0)
+    assert found is not None and found[1] == pytest.approx((20.0, 40.0, 32.0, 60.0), abs=4.0)
 
 
 def test_a_multiple_of_a_wheel_is_no_second_wheel(bench: Bench) -> None:

@@ -109,13 +109,11 @@ class Fleet(Shown):
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""
-        common = (
-            None if self.common is None else {one.name: getattr(self.common, one.name) for one in fields(CommonEffect)}
-        )
+        common = self.common and {one.name: _plain(getattr(self.common, one.name)) for one in fields(self.common)}
         return {
             "vehicles": list(self.vehicles),
             "lines": list(self.lines),
-            "common": common and {key: _plain(value) for key, value in common.items()},
+            "common": common,
             "faults": [
                 {"vehicle": self.vehicles[f.vehicle], "name": f.name, "probability": f.probability, "odd": f.odd}
                 for f in self.faults

@@ -251,9 +251,8 @@ def begin(
         # How long ago it was made is no matter: whether it still holds is the question.
         calibration = for_record(replace(calibration, span=None), first)
         require_applicable(first, calibration)
-        corrected = first.replace(
-            mag_B_nT=calibration.apply(first.mag_B_nT, first.dipole_B_Am2, recorded_columns(first))
-        )
+        field_nT = calibration.apply(first.mag_B_nT, first.dipole_B_Am2, recorded_columns(first))
+        corrected = first.replace(mag_B_nT=field_nT)
     blind = not first.has_attitude.any()
     start = start_without_attitude(corrected, model) if blind else None
     thinned = corrected.select(slice(None, None, -(-len(first) // _NOISE_ROWS)))

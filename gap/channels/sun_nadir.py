@@ -435,9 +435,8 @@ def _beside_orbit(named: Sequence[FoundEffect], channel: Channel) -> Channel:
 def _entry(weighed: SunNadir, named: Hypothesis) -> FoundEffect:
     """The fault as a cause. A parameter of which only sums with others are seen has no sigma."""
     head = named.head is not None
-    parameters = {
-        name: one if name in named.seen else replace(one, sigma=None) for name, one in named.parameters.items()
-    }
+    known = named.parameters.items()
+    parameters = {name: one if name in named.seen else replace(one, sigma=None) for name, one in known}
     return FoundEffect(
         name=named.name,
         group=tuple(dict.fromkeys([named.name, *(other.name for other in weighed.rivals)])),

@@ -139,9 +139,8 @@ def flipped_bits(reading_nT: FloatArray, residual_nT: FloatArray, cut: BoolArray
     dominant = int(np.argmax(shares))
     single = shares[dominant] >= _MOST_SPIKES * count
     total = int(np.isfinite(residual_nT).sum())
-    large = lsb_nT * powers[: top + 2] > CUT_SIGMA * float(
-        np.median(spread)
-    )  # a flip of a lower bit does not stand out
+    # A flip of a lower bit does not stand out.
+    large = lsb_nT * powers[: top + 2] > CUT_SIGMA * float(np.median(spread))
     visible = 1.0 if single else max(int(large.sum()), 1) / (top + 2)
     rate, error = (np.array([size / total / visible]) for size in (count, np.sqrt(count)))
     what = f"{count} spikes, {100 * fitting:.0f} % of them a single flipped bit"

@@ -486,9 +486,8 @@ class Dictionary:
         found: list[list[BlockFit]] = [[] for _ in lefts]
         targets = [np.column_stack([left.basis, left.residual]) for left in lefts]
         for blocks, white in self._white(lefts[0].whitener):
-            places = [
-                slice(*pair) for pair in pairwise(np.cumsum([0, *(len(block.axes) for block in blocks)]).tolist())
-            ]
+            ends = np.cumsum([0, *(len(block.axes) for block in blocks)]).tolist()
+            places = [slice(*pair) for pair in pairwise(ends)]
             grams = [white[:, here].T @ white[:, here] for here in places]
             for left, target, fits in zip(lefts, targets, found, strict=True):
                 along = white.T @ target

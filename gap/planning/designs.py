@@ -52,11 +52,8 @@ def base_tree(closure: Closure, lsb_nT: float | None, field: str) -> dict[str, A
     instrument = corrected(problem.setting.instrument, closure.modelled)
     step = lsb_nT or 0.0
     white = float(np.sqrt(max(float(np.mean(noise.white_nT**2)) - step**2 / 12.0, 0.0)))
-    magnetometer: dict[str, Any] = {
-        "S": np.asarray(instrument.S).tolist(),
-        "b_nT": np.asarray(instrument.b_nT).tolist(),
-    }
-    magnetometer |= {"noise_nT": white, "lsb_nT": step}
+    S, b_nT = np.asarray(instrument.S).tolist(), np.asarray(instrument.b_nT).tolist()
+    magnetometer: dict[str, Any] = {"S": S, "b_nT": b_nT, "noise_nT": white, "lsb_nT": step}
     tree: dict[str, Any] = {
         "name": "plan",
         "seed": 1,

@@ -237,10 +237,8 @@ class Structured:
             setting = self.problem.setting
             longer = wheel_line(setting, left, line_near(setting.seconds, left, fast.line.frequency_Hz))
             return self.given([*answer.shapes, longer if longer is not None and longer.confirmed else wheel])
-        if (
-            answer.left.structured and answer.left.kind != "tone"
-        ):  # a slower line may be this one, seen in some rows only
-            return answer
+        if answer.left.structured and answer.left.kind != "tone":
+            return answer  # but a slower line may be this one, seen in some rows only
         words = f"a line at a period of {1 / fast.line.frequency_Hz:.3g} s, in the full rate"
         tried = float(np.log(independent_frequencies(fast.problem.setting.seconds)))
         found = Structure(fast.line.worth, fast.line.explained, "tone", words, rank=6, log_tried=tried)

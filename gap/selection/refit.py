@@ -159,11 +159,8 @@ def refit(
     chi2 = float(np.sum(residual**2))
     if (start != vector).any():
         # From nothing, so that no fit ends worse than without: a clip is anything but linear.
-        vector, residual, chi2 = _search_line(channel, active, vector, start - vector, (low, high), chi2) or (
-            vector,
-            residual,
-            chi2,
-        )
+        better = _search_line(channel, active, vector, start - vector, (low, high), chi2)
+        vector, residual, chi2 = better or (vector, residual, chi2)
     jacobian = channel.jacobian(_unpacked(active, vector)) if guess is None else guess
     exact = guess is None
     for _ in range(2 * _STEPS):

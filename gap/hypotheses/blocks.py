@@ -448,6 +448,10 @@ def fit(block: Block, left: ProjectedResidual) -> BlockFit:
     return BlockFit(block, free.T @ free, free.T @ left.residual, size, left.least_share)
 
 
+_Some = tuple[Sequence[Block], FloatArray]
+"""Blocks, and (3N, k) their columns, whitened."""
+
+
 class Dictionary:
     """The blocks of a design side by side.
 
@@ -459,14 +463,14 @@ class Dictionary:
     def __init__(self, found: Sequence[Block], rows: int, most_bytes: float = _MOST_BYTES) -> None:
         self.found = tuple(found)
         self.kept = 24 * rows * sum(len(block.axes) for block in self.found) <= most_bytes
-        self._latest: tuple[Whitens | None, list[tuple[Sequence[Block], FloatArray]]] = (None, [])
+        self._latest: tuple[Whitens | None, list[_Some]] = (None, [])
 
-    def _white(self, whitener: Whitens) -> Iterator[tuple[Sequence[Block], FloatArray]]:
-        """Some blocks at a time, and (3N, k) their columns, whitened."""
+    def _white(self, whitener: Whitens) -> Iterator[_Some]:
         if self._latest[0] is whitener:
             yield from self._latest[1]
             return
-        self._latest, every = (None, []), []
+        self._latest = (None, [])
+        every: list[_Some] = []
         for first in range(0, len(self.found), _TOGETHER):
             blocks = self.found[first : first + _TOGETHER]
             made = np.concatenate([block.make() for block in blocks], axis=2)

@@ -33,7 +33,6 @@ from fluxtwin.sim.effects.drivers import lit
 from fluxtwin.sim.effects.signal import Setting
 from fluxtwin.sim.effects.switched_field import HeaterSwitching, SwitchedField
 
-_DARK = ("night", "eclipse")
 _HALF_SIZES_DEG = (12.0, 20.0)
 _MOVES_DEG = (1.0, 3.0, 9.0)
 _REFINEMENTS = 6
@@ -134,7 +133,7 @@ class _Search:
 def _place(setting: Setting) -> _Place:
     latitude, longitude = (np.degrees(a) for a in frames.geocentric(setting.R_EN.apply(setting.given[0]))[:2])
     dark = {}
-    for condition in _DARK:
+    for condition in ("night", "eclipse"):
         on = SwitchedField(condition).values(setting)
         if on is not None and 0.0 < on.mean() < 1.0:
             dark[condition] = np.asarray(on > 0.5)

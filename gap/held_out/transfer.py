@@ -27,9 +27,9 @@ from fluxtwin.gap.noise.whitening import Whitener, make_whitener
 from fluxtwin.gap.problem.problem import Problem
 from fluxtwin.gap.problem.row_axes import turn_images
 from fluxtwin.gap.records.diagnosis import Closure, FoundEffect, Transfer
-from fluxtwin.gap.selection.criterion import FEWEST, samples_of
+from fluxtwin.gap.selection.criterion import FEWEST, samples_of, weight_of
 from fluxtwin.gap.selection.detectable import Rule, visible_part
-from fluxtwin.gap.selection.refit import Readings, refit
+from fluxtwin.gap.selection.refit import Readings, limits, refit
 from fluxtwin.gap.selection.search import WORTH_SAYING
 from fluxtwin.sim.attitude import record as attitude
 from fluxtwin.sim.attitude.libration import draw_libration
@@ -54,7 +54,6 @@ _NADIR_WITHIN_RAD = np.radians(30.0)
 """Median angle to a mean attitude in the orbital frame; of a tumble it is above 90 degrees."""
 _LIBRATION_RAD, _LIBRATION_S = np.radians(2.0), (600.0, 6000.0)
 """Size and range of periods of the pointing error of a nadir pointer: up to that of an orbit."""
-_NUTATION_RAD = np.radians(5.0)
 _FOLLOWS = 0.5
 """Share of a column's variance that sunlight explains, to be called driven by it: most of it."""
 MOST_CHANCE = 0.05
@@ -176,8 +175,7 @@ def _regime(name: str, start: np.datetime64) -> Callable[[TimeArray, FloatArray,
         return lambda time, r, v: attitude.tumble(time, *tumbling, epoch=start).R_BN
     if name == "spin":
         spun = (INERTIA_KG_M2, np.array([1.0, 0.0, 0.0]), SPIN_RPM * 2.0 * np.pi / 60.0)
-        tilt = float(_NUTATION_RAD)
-        return lambda time, r, v: attitude.spin(time, *spun, nutation_rad=tilt, epoch=start).R_BN
+        return lambda time, r, v: attitude.spin(time, *spun, nutation_rad=np.radians(5.0), epoch=start).R_BN
     librations = draw_libration((_LIBRATION_RAD,) * 3, *_LIBRATION_S, np.random.default_rng(0))
     return lambda time, r, v: attitude.librating(time, r, v, librations).R_BN
 
@@ -322,7 +320,7 @@ def _label(effect: SignalEffect, other: SignalEffect) -> str:
 def _errors(design: _Design, effect: SignalEffect, theta: FloatArray, covariance: FloatArray) -> FloatArray:
     """(N, 3, k) what one sigma along each principal direction of the parameters changes in the reading."""
     values, vectors = np.linalg.eigh(covariance)
-    low, high = (np.array([getattr(one, end) for one in effect.parameters]) for end in ("low", "high"))
+    low, high = limits([(effect, theta)])
     columns = []
     for step in (vectors * np.sqrt(np.maximum(values, 0.0))).T:
         up, down = (design.reading(effect, effect, np.clip(theta + by, low, high)) for by in (step, -step))
@@ -350,7 +348,7 @@ def _others(closure: Closure, number: int) -> tuple[Other, ...]:
         trial[number] = (other, np.zeros(len(other.parameters)))
         fit = refit(readings, trial, modelled=closure.modelled)
         worse = (fit.chi2 - own.chi2) / closure.variance + (fit.rank_chosen - own.rank_chosen) * np.log(samples)
-        weight = float(np.exp(-0.5 * np.clip(worse, -100.0, 1400.0)))
+        weight = float(weight_of(worse))
         if weight > WORTH_SAYING:
             reading = problem.reading_nT([*fit.modelled, *fit.others(number)])
             pinned = other.pinned(problem.setting, reading)

@@ -39,7 +39,6 @@ _LEVELS = np.arange(1, 10) / 10.0
 _PARTS = max(PARTS)
 """Of a record, at whose ends something that follows a column may go on or off: the times are then searched between them."""
 _QUARTER = {"cos": "sin", "sin": "cos", "cos2": "sin2", "sin2": "cos2"}
-_WAVES = tuple(_QUARTER)
 MOST_TERMS = 3
 """Not counting those of lower order that go with one."""
 _MOST_BYTES = 400e6  # that the pool may take, which is asked again after every term
@@ -169,12 +168,12 @@ class Grammar:
     def turning(self) -> list[str]:
         """Waves of recorded angles."""
         angles = [name for name in self.recorded if name.endswith("_deg")]
-        return [f"{wave} {name}" for name in angles for wave in _WAVES]
+        return [f"{wave} {name}" for name in angles for wave in _QUARTER]
 
     def geometry(self, gates: bool = False) -> list[str]:
         """Factors that need no recorded column and do not follow the attitude's error; gates: with shadow among them."""
         plain = [name for name in GEOMETRY if name not in ANGLES]
-        waves = [f"{wave} {angle}" for angle in ANGLES for wave in _WAVES]
+        waves = [f"{wave} {angle}" for angle in ANGLES for wave in _QUARTER]
         found = [*plain, *(["not sunlit"] if gates else []), *FIELD, *waves]
         return [factor for factor in found if self._steady(factor)]
 

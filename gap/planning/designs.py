@@ -30,7 +30,6 @@ _ROUND = 0.01
 """Eccentricity below which an orbit is taken as a circle; the Earth's oblateness alone makes a tenth of that of one."""
 _ARC_RAD = 1.0
 """From so much of an orbit on its mean motion is that of the record; of less that of its energy, good to half a percent."""
-_TIME_CONSTANT_MIN = 20.0
 _LEAST_SWING_K = 1.0
 Kind = Literal["nadir", "yaw_slews", "slews", "tumble", "spin", "inertial_hold"]
 _MOST_TURN_DEG = 30.0
@@ -40,7 +39,6 @@ _PEAK = 1.875
 _LEG_DEG = 90.0
 _TILT_DEG = 80.0
 """Of roll and pitch at the most: at a right angle the angles of the papers lose one."""
-_NUTATION_DEG = 10.0
 _LOAD_SHARE = 0.25
 _PERIODS_S = (10.0, 3600.0)
 
@@ -120,8 +118,8 @@ def _housekeeping(problem: Problem) -> dict[str, Any]:
     temperature = columns.get("temperature_degC")
     if temperature is not None and np.isfinite(temperature).any():
         low, high = (float(value) for value in np.nanpercentile(temperature, (2.0, 98.0)))
-        found["thermal"] = {"sunlit_degC": max(high, low + _LEAST_SWING_K), "eclipse_degC": low}
-        found["thermal"]["time_constant_min"] = _TIME_CONSTANT_MIN
+        sunlit = max(high, low + _LEAST_SWING_K)
+        found["thermal"] = {"sunlit_degC": sunlit, "eclipse_degC": low, "time_constant_min": 20.0}
     return found
 
 
@@ -222,7 +220,7 @@ def _attitudes(
             turn = rate * np.array([0.8, 0.36, 0.48])  # a unit vector of three unlike components
             yield kind, f"tumble of {rate:.2g} deg/s", {"mode": "tumble", "rate_deg_s": turn.tolist()}
         elif kind == "spin" and free:
-            spun = {"mode": "spin", "spin_rate_rpm": rate / 6.0, "nutation_deg": _NUTATION_DEG}
+            spun = {"mode": "spin", "spin_rate_rpm": rate / 6.0, "nutation_deg": 10.0}
             yield kind, f"spin of {rate:.2g} deg/s", spun
         elif kind == "inertial_hold" and free:
             yield kind, "inertial hold", {"mode": "inertial_hold"}

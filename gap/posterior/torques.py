@@ -29,7 +29,6 @@ from fluxtwin.sim.spacecraft.dynamics.vehicle import Vehicle
 
 _SURE_RAD = np.radians(5.0)
 """A standing error of the attitude that is known no better is not stated."""
-_NO_SCENARIO = 'no scenario with attitude mode "dynamics" says what the body is and which torques turn it'
 _NAMES = {effect.name for effect in DYNAMICS}
 _NOTHING = Structure(0.0, 0.0, "none", "")
 
@@ -83,7 +82,7 @@ def balanced(
     fitted_nT: (N, 3, c) Jacobian of what that channel fits: what is modelled, its named effects, and others after them.
     """
     if craft is None:
-        return absent(_NO_SCENARIO)
+        return absent('no scenario with attitude mode "dynamics" says what the body is and which torques turn it')
     flown = arcs(problem, craft, orbit_of(problem, [*problem.frozen, *result.modelled, *result.chosen]))
     cut = flown if isinstance(flown, str) else windows(flown)
     if isinstance(cut, str):

@@ -53,7 +53,6 @@ stage is the true one in 27 without courses, in 39 with them."""
 _LARGEST = 12.0
 """Logarithm of the largest size of a course over the noise, and of the noise over the smallest: far beyond what is seen."""
 _NOTHING = "none"
-_QUESTIONS = ("stage", "axis", "frame", "condition")
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,7 +202,8 @@ def locate(
     """As `where`, from fits that are at hand; apart: the difference of two magnetometers, and the same fits to it."""
     hypotheses = _hypotheses(left, fits, free, apart)
     if not hypotheses:
-        return Place(None, None, None, None, (), {name: {_NOTHING: 1.0} for name in _QUESTIONS})
+        nothing = {name: {_NOTHING: 1.0} for name in ("stage", "axis", "frame", "condition")}
+        return Place(None, None, None, None, (), nothing)
     priors, samples = np.log([h.prior for h in hypotheses]), left.degrees / 3.0
     worths = np.array([h.worth for h in hypotheses])
     best = int(np.argmax(worths + 2.0 * priors))

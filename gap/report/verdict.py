@@ -244,6 +244,8 @@ def _closure(work: Work, found: _Conclusion) -> Closure:
     """What is named, what was re-estimated together with it, and what might be in its place."""
     result = work.answer.result
     incomplete = f"the explanation is incomplete: {words.SHAPE_INCOMPLETE}" if found.incomplete else None
+    if found.verdict == "unknown":
+        incomplete = "the catalogue does not explain all of the gap"
     return Closure(
         problem=work.problem,
         whitener=work.answer.whitener,
@@ -253,7 +255,7 @@ def _closure(work: Work, found: _Conclusion) -> Closure:
         stochastic=(*found.shapes, *work.momentum.standing),
         variance=result.variance,
         tested=result.tested,
-        incomplete=words.UNEXPLAINED if found.verdict == "unknown" else incomplete,
+        incomplete=incomplete,
     )
 
 

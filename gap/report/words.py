@@ -28,7 +28,6 @@ SECOND_UNUSED = (
 )
 FIRST = "First correct the file as fluxtwin check says"
 """Begins the answer of a diagnosis of a file that is wrong."""
-UNEXPLAINED = "the catalogue does not explain all of the gap"
 _IN_WORDS = {"stage": "at stage ", "axis": "on ", "frame": "in ", "condition": "depending on "}
 """By kind of place, what comes before its names in a sentence."""
 _PLACES = {

@@ -151,7 +151,7 @@ def refit(
     modelled = channel.modelled if modelled is None else modelled
     count, active = len(modelled), [*modelled, *chosen]
     vector = _packed(active)
-    low, high = _limits(active)
+    low, high = limits(active)
     start = np.clip(vector, low, high)
     vector = start.copy()
     vector[sum(len(theta) for _, theta in modelled) :] = 0.0
@@ -199,7 +199,7 @@ def settled(problem: Problem) -> Problem:
         limit = 3.0 * max(float(np.median(size)) / 1.54, 1e-9)
         weight = np.sqrt(np.minimum(1.0, limit / np.maximum(size, 1e-12)))[:, None]
         vector = _packed(current.modelled_active)
-        low, high = _limits(current.modelled_active)
+        low, high = limits(current.modelled_active)
         jacobian = current.in_row_axes(current.nuisance) * weight[:, :, None]
         step = _step(jacobian, residual * weight, moving(jacobian))
         moved = _unpacked(current.modelled_active, np.clip(vector + step, low, high))
@@ -285,7 +285,8 @@ def _unpacked(active: Sequence[Active], vector: FloatArray) -> list[Active]:
     ]
 
 
-def _limits(active: Sequence[Active]) -> tuple[FloatArray, FloatArray]:
+def limits(active: Sequence[Active]) -> tuple[FloatArray, FloatArray]:
+    """Lowest and highest values of all parameters of these effects."""
     parameters = [parameter for effect, _ in active for parameter in effect.parameters]
     low = np.array([parameter.low for parameter in parameters])
     high = np.array([parameter.high for parameter in parameters])

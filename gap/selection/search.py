@@ -15,7 +15,7 @@ import numpy as np
 from fluxtwin.gap.hypotheses.candidates import Candidate, settings_of
 from fluxtwin.gap.linear.projection import orthonormal
 from fluxtwin.gap.records.diagnosis import EffectParameter, FoundEffect, Ranked, Score
-from fluxtwin.gap.selection.criterion import IN_GROUP, SHAPE, penalty
+from fluxtwin.gap.selection.criterion import IN_GROUP, SHAPE, penalty, weight_of
 from fluxtwin.gap.selection.detectable import Smallest, smallest, visible_part
 from fluxtwin.gap.selection.forward import NONLINEAR, WITHIN, Search, room_for, without
 from fluxtwin.gap.selection.refit import Fit, Readings
@@ -330,7 +330,7 @@ def _weights(search: Search[Any], fit: Fit, number: int, bare: Fit, variance: fl
             there = search.fit(present, start)
             lost = _chi_square_lost(search, there.chosen[number], beside)
             worse = (there.chi2 - lost - fit.chi2 + lost_own) / variance / wider + price
-        weights[name] = weights.get(name, 0.0) + float(np.exp(-0.5 * np.clip(worse, -100.0, 1400.0)))
+        weights[name] = weights.get(name, 0.0) + float(weight_of(worse))
     return weights
 
 

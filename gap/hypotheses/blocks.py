@@ -23,6 +23,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from fluxtwin.calib.common.direction import even_directions
 from fluxtwin.gap.hypotheses.candidates import PerturbedDesign, alike
 from fluxtwin.gap.linear.projection import ProjectedResidual, Whitens, explained
 from fluxtwin.gap.problem.problem import Problem
@@ -85,7 +86,7 @@ def regions(setting: Setting) -> tuple[Condition, ...]:
     unit = setting.R_EN.apply(setting.given[0])
     unit = unit / np.linalg.norm(unit, axis=1)[:, None]
     found = []
-    for centre in _fibonacci_sphere(_REGIONS):
+    for centre in even_directions(_REGIONS, first=0.5):
         away = np.arccos(np.clip(unit @ centre, -1.0, 1.0)) / _REGION_RADIUS_RAD
         patch = np.exp(-0.5 * away**2)
         if 0.005 * unit.shape[0] < (patch > 0.5).sum() and (patch > 0.5).mean() < 0.5:
@@ -184,14 +185,6 @@ def _since_start(seconds: FloatArray, holds: BoolArray) -> FloatArray:
     begins = holds & ~np.concatenate([[False], holds[:-1]])
     latest = np.maximum.accumulate(np.where(begins, np.arange(holds.size), 0))
     return np.where(holds, seconds - seconds[latest], 0.0)
-
-
-def _fibonacci_sphere(count: int) -> FloatArray:
-    """(count, 3) unit vectors spread evenly over the sphere."""
-    index = np.arange(count) + 0.5
-    z, turn = 1 - 2 * index / count, np.pi * (1 + np.sqrt(5)) * index
-    across = np.sqrt(1 - z**2)
-    return np.stack([across * np.cos(turn), across * np.sin(turn), z], axis=1)
 
 
 @dataclass(frozen=True)

@@ -22,6 +22,7 @@ from fluxtwin.sim.base.errors import NoAnswer
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.earth.field import field_N_nT
 from fluxtwin.sim.earth.field_models import FieldModel
+from fluxtwin.sim.earth.references import triad
 from fluxtwin.sim.spacecraft.sensors.magnetometer import Magnetometer
 from fluxtwin.sim.telemetry.record import Telemetry
 
@@ -180,10 +181,10 @@ def with_nadir_exact(
     """R_BN with the rows (N,) replaced by the attitude that has nadir exactly and the field in its plane (TRIAD)."""
     if not rows.any():
         return R_BN
-    body, inertial = (_triad(n[rows], b[rows]) for n, b in ((nadir_B, field_B_nT), (nadir_N, field_N_nT)))
-    matrices = np.array(R_BN.as_matrix())
-    matrices[rows] = body @ np.swapaxes(inertial, 1, 2)
-    return Rotation.from_matrix(matrices)
+    quaternions = np.array(R_BN.as_quat())
+    R_BN = triad(nadir_B[rows], field_B_nT[rows]).inv() * triad(nadir_N[rows], field_N_nT[rows])
+    quaternions[rows] = R_BN.as_quat()
+    return Rotation.from_quat(quaternions)
 
 
 def row_axes(
@@ -275,13 +276,6 @@ def _across(vectors: FloatArray, unit: FloatArray) -> FloatArray:
 
 def _unit(vectors: FloatArray) -> FloatArray:
     return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=1), 1e-300)[:, None])
-
-
-def _triad(first: FloatArray, second: FloatArray) -> FloatArray:
-    """(n, 3, 3) columns: the first direction, the second's part across it, and their normal."""
-    one = _unit(first)
-    two = _unit(_across(second, one))
-    return np.stack([one, two, np.cross(one, two)], axis=2)
 
 
 def turn_images(field_B_nT: FloatArray, matrix: FloatArray | None = None) -> FloatArray:

@@ -115,7 +115,8 @@ def apart(problem: Problem) -> Apart | None:
         return None
     difference = np.where(both[:, None], first - second, 0.0)
     field_B_nT = problem.design.signal([*problem.frozen, *problem.modelled_active]).field_B_nT
-    relative = _relative(field_B_nT)
+    # What S, row by row, and b of one against the other make of the field.
+    relative = np.concatenate([of_S(field_B_nT), np.broadcast_to(np.eye(3), (problem.rows, 3, 3))], axis=2)
     # That field has the errors of the attitude in it, by which the two readings differ as far as their S do.
     columns, both_nT = relative[both].reshape(-1, 12), np.stack([difference[both], first[both]], axis=-1).reshape(-1, 2)
     size, *_ = np.linalg.lstsq(columns, both_nT, rcond=None)
@@ -142,11 +143,6 @@ def apart(problem: Problem) -> Apart | None:
     left = projected(_White(sigma_nT, kept), difference, fitted)
     rms_nT = float(np.sqrt(np.sum(rest[kept] ** 2) / left.degrees))
     return Apart(left, rms_nT, float(np.sqrt(np.mean(sigma_nT**2))))
-
-
-def _relative(field_B_nT: FloatArray) -> FloatArray:
-    """(N, 3, 12) what S and b of one magnetometer against the other make of a field (N, 3): by S row by row, and b."""
-    return np.concatenate([of_S(field_B_nT), np.broadcast_to(np.eye(3), (len(field_B_nT), 3, 3))], axis=2)
 
 
 def _steps_along(values_nT: FloatArray, field_B_nT: FloatArray) -> FloatArray:

@@ -267,13 +267,6 @@ def _secant(columns: FloatArray, theta: FloatArray, made: FloatArray) -> FloatAr
     return bent
 
 
-def _drops(scored: Board, score: FloatArray) -> FloatArray:
-    """(K, D) drop of chi-square by each candidate, of scores (R, D)."""
-    drop = np.zeros((len(scored.candidates), score.shape[1]))
-    np.add.at(drop, scored.block.astype(int), score**2)
-    return drop
-
-
 def probability_of(name: str, others: Collection[str], scored: Board) -> float:
     """That the rules of the search name it, with none of the others in its group, where the residual is its signal."""
     names = [candidate.name for candidate in scored.candidates]
@@ -283,7 +276,8 @@ def probability_of(name: str, others: Collection[str], scored: Board) -> float:
     noise = np.random.default_rng(_SEED).standard_normal((values.size, _DRAWS))
     score = scored.score[:, None] + (vectors * np.sqrt(np.maximum(values, 0.0))) @ noise
     rank = scored.rank[:, None].astype(float)
-    drop = _drops(scored, score)
+    drop = np.zeros((len(names), _DRAWS))
+    np.add.at(drop, scored.block.astype(int), score**2)
     samples, tested = samples_of(scored.measured), max(int((scored.rank > 0).sum()), 1)
     price = penalty(rank, drop, samples)
     cost = np.where(rank > 0, price - drop, np.inf)

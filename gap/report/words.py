@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from fluxtwin.calib.common.digits import plain
+from fluxtwin.calib.common.observability import listed
 from fluxtwin.gap.detectors.residual_structure import Structure
 from fluxtwin.gap.noise.choice import NoiseModel
 from fluxtwin.gap.records.diagnosis import Detectable, FoundEffect, MomentumGap, Place, Shrinkage
@@ -268,10 +269,8 @@ def assumed(values: Mapping[str, Mapping[str, Any]]) -> str:
         size, tau = values["attitude_sigma_deg"]["value"], values["attitude_tau_s"]["value"]
         memory = f" with a time constant of {float(f'{tau:.2g}'):g} s" if tau else ", white"
         parts.append(f"an attitude error of {size:.2g} deg{memory if size else ''}")
-    listed = parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"
-    return (
-        f"Not declared, so estimated from these data: {listed} ({', '.join(values[name]['flag'] for name in missing)})."
-    )
+    flags = ", ".join(values[name]["flag"] for name in missing)
+    return f"Not declared, so estimated from these data: {listed(parts)} ({flags})."
 
 
 def repeated_rounding(every: int) -> str:

@@ -4,7 +4,7 @@ Attitude, wheels and torquers say how the body's momentum went on; the torques o
 should have. Errors of the two channels are independent, so their rows stand in one channel, each whitened by its own
 noise. An effect on the dynamics leaves the readings as they are and has no image there; one on the recorded attitude or on
 the reported orbit has an image in both: the first turns the attitudes that the balance is compared with, the second has the
-torques act elsewhere.
+torques act elsewhere. Images of the dynamics come from the same vehicle that the simulation flies.
 
 The attitude's error is a first-order Gauss-Markov process or white. Torquers and wheels change between rows: that is a
 white torque and a white rate beside the modelled ones. Their sizes are those of the largest restricted likelihood with

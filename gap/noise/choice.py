@@ -1,5 +1,7 @@
 """The noise of a problem: budget, model, outliers, whitening. The front door of the modules around it.
 
+The budget is what is known before the fit: declared, or estimated from the readings themselves.
+
 The model is chosen by restricted maximum likelihood. With V = sigma**2 W(theta / sigma, tau) and one orthonormal basis Q of
 the design, the restricted likelihood (Patterson & Thompson 1971, doi 10.1093/biomet/58.3.545) plus the log prior of the
 budget is

@@ -1,7 +1,7 @@
 """From the posterior to the record: what is named, whether it is the whole gap, where it lies, how far it closes.
 
 `assemble` is a function of what was found and of nothing else; it reads from top to bottom, and nothing is changed in the
-record after it.
+record after it. Where nothing is named, the residual must be what the budget gives, in its size and in its outliers.
 """
 
 from __future__ import annotations

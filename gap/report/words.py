@@ -1,4 +1,8 @@
-"""What a diagnosis says, in words."""
+"""What a diagnosis says, in words; and what would settle a question that these data leave open.
+
+More of the same lowers the smallest size that shows as the square root of the time, so hours scale with the square of
+size detectable over size wanted. A manoeuvre changes the geometry instead: each effect says which (`settled_by`).
+"""
 
 from __future__ import annotations
 

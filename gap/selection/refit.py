@@ -1,6 +1,7 @@
 """Fits in the nonlinear chain: damped Gauss-Newton for chosen effects together with everything that is modelled.
 
-What is fitted is a channel: readings of the magnetometer (`Readings`), or others that offer the same.
+What is fitted is a channel: readings of the magnetometer (`Readings`), or others that offer the same. Readings also propose
+what no column reports: when a field that was on for one stretch began and ended, and when an attitude jumped.
 """
 
 from __future__ import annotations

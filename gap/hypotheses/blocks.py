@@ -448,31 +448,35 @@ _Some = tuple[Sequence[Block], FloatArray]
 class Dictionary:
     """The blocks of a design side by side.
 
-    Blocks are only compared through their own small Gram matrices, so what a residual's basis takes from some of them is one
+    Blocks are only compared through their own small Gram matrices, so what a residual's basis takes from all of them is one
     product of matrices. What is whitened is kept for the next question under the same noise model; where it takes too much
-    room, it is forgotten.
+    room, some blocks are made and whitened at a time, and forgotten.
     """
 
     def __init__(self, found: Sequence[Block], rows: int, most_bytes: float = _MOST_BYTES) -> None:
-        self.found = tuple(found)
+        self.found, self.rows = tuple(found), rows
         self.kept = 24 * rows * sum(len(block.axes) for block in self.found) <= most_bytes
-        self._latest: tuple[Whitens | None, list[_Some]] = (None, [])
+        self._latest: tuple[Whitens, _Some] | None = None
 
     def _white(self, whitener: Whitens) -> Iterator[_Some]:
-        if self._latest[0] is whitener:
-            yield from self._latest[1]
+        """All blocks, or some at a time."""
+        if self._latest is not None and self._latest[0] is whitener:
+            yield self._latest[1]
             return
-        self._latest = (None, [])
-        every: list[_Some] = []
-        for first in range(0, len(self.found), _TOGETHER):
-            blocks = self.found[first : first + _TOGETHER]
-            made = np.concatenate([block.make() for block in blocks], axis=2)
-            some = blocks, whitener.apply(made).reshape(-1, made.shape[2])
+        self._latest, together = None, max(len(self.found), 1) if self.kept else _TOGETHER
+        for first in range(0, len(self.found), together):
+            some = self._whitened(self.found[first : first + together], whitener)
             if self.kept:
-                every.append(some)
+                self._latest = (whitener, some)
             yield some
-        if self.kept:
-            self._latest = (whitener, every)
+
+    def _whitened(self, blocks: Sequence[Block], whitener: Whitens) -> _Some:
+        white, end = np.empty((3 * self.rows, sum(len(block.axes) for block in blocks))), 0
+        for first in range(0, len(blocks), _TOGETHER):
+            made = np.concatenate([block.make() for block in blocks[first : first + _TOGETHER]], axis=2)
+            begin, end = end, end + made.shape[2]
+            white[:, begin:end] = whitener.apply(made).reshape(-1, made.shape[2])
+        return blocks, white
 
     def fits(self, left: ProjectedResidual) -> list[BlockFit]:
         """`fit` for each block."""

@@ -12,12 +12,12 @@ import numpy as np
 from fluxtwin.calib.common.apply import apply_calibration, require_applicable
 from fluxtwin.calib.common.records import Calibration
 from fluxtwin.gap.channels.momentum_arcs import Craft
-from fluxtwin.gap.detectors.noise_level import with_frozen_noise
+from fluxtwin.gap.detectors.codes import with_frozen_noise
 from fluxtwin.gap.diagnose import diagnose as investigate_record
 from fluxtwin.gap.held_out import closing, transfer
 from fluxtwin.gap.held_out.closing import Declared as Declared
-from fluxtwin.gap.held_out.taken_out import TakenOut, without_effects
-from fluxtwin.gap.planning.base import base_tree
+from fluxtwin.gap.held_out.closing import TakenOut, without_effects
+from fluxtwin.gap.planning.designs import base_tree
 from fluxtwin.gap.problem.problem import DEFAULT_MODELLED, Budget
 from fluxtwin.gap.records.diagnosis import Diagnosis
 from fluxtwin.gap.report import input_warnings, words

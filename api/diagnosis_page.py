@@ -12,8 +12,7 @@ from fluxtwin.calibration_page import parameter_tables
 from fluxtwin.gap.held_out.closing import calibration, reestimated
 from fluxtwin.gap.problem.problem import DEFAULT_MODELLED
 from fluxtwin.gap.records.diagnosis import Diagnosis, Law
-from fluxtwin.gap.report.advice import typical_size
-from fluxtwin.gap.report.words import APART_FROM_THEM, FIRST, located, percent
+from fluxtwin.gap.report.words import APART_FROM_THEM, FIRST, located, percent, typical_size
 from fluxtwin.scenarios.page import FigureBlock, Page, PageSection, Table, with_rows
 from fluxtwin.sim.base.files import to_json
 from fluxtwin.sim.base.types import BoolArray, FloatArray

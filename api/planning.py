@@ -19,13 +19,12 @@ from fluxtwin.calib.methods import calibrate_by
 from fluxtwin.diagnosing import AssumedAndReading, with_assumed
 from fluxtwin.gap.noise.whitening import NoiseModel
 from fluxtwin.gap.planning import questions
-from fluxtwin.gap.planning.choose import choose, shortened
 from fluxtwin.gap.planning.designs import Design, LimitsFile, LimitsSection, designs
 from fluxtwin.gap.planning.power import Flown
+from fluxtwin.gap.planning.questions import choose, shortened
 from fluxtwin.gap.problem.problem import DEFAULT_MODELLED, Budget, pose
-from fluxtwin.gap.records.diagnosis import Diagnosis
+from fluxtwin.gap.records.diagnosis import Diagnosis, diagnosis_schema
 from fluxtwin.gap.records.plan import CalibrationPlan, Plan, Question, SigmaCourse
-from fluxtwin.gap.records.schema import diagnosis_schema
 from fluxtwin.notebook import usual
 from fluxtwin.scenarios.packaged import as_scenario
 from fluxtwin.sim.base.errors import BadInput, NoAnswer

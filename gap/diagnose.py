@@ -7,36 +7,30 @@ from dataclasses import replace
 
 import numpy as np
 
+from fluxtwin.gap.channels import sun_nadir
 from fluxtwin.gap.channels.momentum_arcs import Craft
-from fluxtwin.gap.channels.sun_nadir import Channel
-from fluxtwin.gap.channels.two_magnetometers import Cause, apart
-from fluxtwin.gap.detectors.codes import coarse_steps
+from fluxtwin.gap.channels.two_magnetometers import apart
+from fluxtwin.gap.detectors.codes import coarse_steps, floor_noise, in_the_readings, stochastic_nT
 from fluxtwin.gap.detectors.finding import Finding
-from fluxtwin.gap.detectors.full_rate import MOST_ROWS as MOST_ROWS_FAST
-from fluxtwin.gap.detectors.full_rate import full_rate
-from fluxtwin.gap.detectors.noise_level import floor_noise, stochastic_nT
-from fluxtwin.gap.detectors.proposals import in_the_readings
+from fluxtwin.gap.detectors.lines import MOST_ROWS_FAST, full_rate
 from fluxtwin.gap.detectors.random_walk import worth_of_a_walk
 from fluxtwin.gap.detectors.residual_structure import Structure, judge, residual_structure
 from fluxtwin.gap.held_out.held_out import Fitted, Prediction, floor_rms_nT, one_step, predict_blocks
-from fluxtwin.gap.hypotheses.blocks import blocks
-from fluxtwin.gap.hypotheses.candidates import candidates
-from fluxtwin.gap.hypotheses.evidence import BlockFit, Dictionary
-from fluxtwin.gap.hypotheses.perturbed_design import PerturbedDesign
+from fluxtwin.gap.hypotheses.blocks import BlockFit, Dictionary, blocks
+from fluxtwin.gap.hypotheses.candidates import PerturbedDesign, candidates
 from fluxtwin.gap.law.found import closed_by, law_of
 from fluxtwin.gap.law.words import beside_names
 from fluxtwin.gap.linear.projection import ProjectedResidual, projected
-from fluxtwin.gap.noise.budget import prior_of
-from fluxtwin.gap.noise.choice import NoiseModel, choose_noise, complete_budget, likely_noises, whitener_of
+from fluxtwin.gap.noise.choice import NoiseModel, choose_noise, complete_budget, likely_noises, prior_of, whitener_of
 from fluxtwin.gap.noise.whitening import with_walk
 from fluxtwin.gap.posterior.explanations import Answer, noise_and_answer, without_names
 from fluxtwin.gap.posterior.structured import Structured
 from fluxtwin.gap.posterior.torques import balanced
 from fluxtwin.gap.posterior.where import where
 from fluxtwin.gap.problem.problem import DEFAULT_MODELLED, Budget, Problem, calibrated, corrected, pose, realigned
-from fluxtwin.gap.problem.start import start_without_attitude
+from fluxtwin.gap.problem.row_axes import start_without_attitude
 from fluxtwin.gap.records.diagnosis import Detectable, Diagnosis, Place
-from fluxtwin.gap.report import input_warnings, level, second_channel, verdict, words
+from fluxtwin.gap.report import input_warnings, verdict, words
 from fluxtwin.gap.report.verdict import Work
 from fluxtwin.gap.selection.criterion import FEWEST, THRESHOLD
 from fluxtwin.gap.selection.detectable import Hiding, detectable
@@ -94,14 +88,14 @@ def diagnose(
     problem = pose(record, model, modelled=modelled, budget=budget, instrument=instrument, frozen=frozen, denser=denser)
     _require_rows(problem)
     faster = None if every == 1 else whole
-    channel = second_channel.channel_of(telemetry, frozen)
+    channel = sun_nadir.channel_of(telemetry, frozen)
     work = investigate(settled(problem), progress, faster, craft)
     while out := _ruled_out(work, channel):
         problem = replace(problem, ruled_out={**problem.ruled_out, **out})
         work = investigate(settled(problem), progress, faster, craft)
     if channel is not None:
-        gone = [name for name, why in problem.ruled_out.items() if why == second_channel.NOT_THERE]
-        work = replace(work, angle=second_channel.weighed(work.standing, channel, gone, unexplained=work.known < 0.5))
+        gone = [name for name, why in problem.ruled_out.items() if why == sun_nadir.NOT_THERE]
+        work = replace(work, angle=sun_nadir.weighed(work.standing, channel, gone, unexplained=work.known < 0.5))
     left_out = [words.stuck(telemetry.time, stuck)] if stuck.any() else []
     work = replace(work, stuck=left_out[0] if left_out else None)
     answer, problem = work.answer, work.problem
@@ -130,12 +124,12 @@ def diagnose(
     notes += [] if new == 1 else [words.repeated_rounding(new)]
     notes += [] if every == 1 else [words.thinned(every, MOST_ROWS_FAST)]
     if work.angle is not None:
-        facts["sun_nadir"] = work.angle.to_dict()
+        facts["sun_nadir"] = {**work.angle.to_dict(), "ruled_out": list(work.angle.ruled_out)}
         notes += work.angle.notes
     found = verdict.assemble(
         work,
         facts,
-        level.assumed(budget or Budget(), problem, answer.noise),
+        verdict.assumed(budget or Budget(), problem, answer.noise),
         without_attitude=int((moving.has_reading & ~moving.has_attitude).sum()),
         notes=notes,
     )
@@ -160,9 +154,9 @@ def _with_law(work: Work, found: Diagnosis, progress: Progress) -> Diagnosis:
     return replace(found, law=law.record, sentence=sentence, closure=closed_by(law, found.closure))
 
 
-def _ruled_out(work: Work, channel: Channel | None) -> dict[str, str]:
+def _ruled_out(work: Work, channel: sun_nadir.Channel | None) -> dict[str, str]:
     """{name: why} of effects that the momentum, the sun-nadir angle or a second magnetometer newly rules out."""
-    by_angle = {} if channel is None else second_channel.ruled_out(work.standing, channel)
+    by_angle = {} if channel is None else sun_nadir.ruled_out(work.standing, channel)
     found = {**work.momentum.ruled_out, **by_angle, **_denied(work)}
     return {name: why for name, why in found.items() if name not in work.problem.ruled_out}
 
@@ -192,7 +186,7 @@ def _denied(work: Work) -> dict[str, str]:
             stage = find_effect(name).stage
             likely = [one.jacobian for one in result.candidates if one.name == name and one.live.any()]
             trials = [columns[name]] if name == effect.name else likely
-            if work.apart.denies(readings, [Cause(stage, one, image_nT) for one in trials], others):
+            if work.apart.denies(readings, stage, trials, image_nT, others):
                 gone[name] = words.DENIED_SENSOR if stage == "sensor" else words.DENIED_SHARED
     return gone
 
@@ -229,7 +223,7 @@ def investigate(
         if whole is not None and len(whole) <= MOST_ROWS_FAST:
             every_row = (fast.problem, fast.robust)
     found = (*answer.shapes, *(() if coarser is None else (coarser,)))
-    findings = in_the_readings(*rows, level.shape_nT(problem, answer), found)
+    findings = in_the_readings(*rows, verdict.shape_nT(problem, answer), found)
     del rows, fast  # of all that is held, the most
     flexible = tuple(one for one in findings if one.confirmed)
     attitude_would_do_rad = _attitude_would_do(problem, answer, dictionary)

@@ -109,13 +109,11 @@ class Fleet(Shown):
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""
-        common = (
-            None if self.common is None else {one.name: getattr(self.common, one.name) for one in fields(CommonEffect)}
-        )
+        common = self.common and {one.name: _plain(getattr(self.common, one.name)) for one in fields(self.common)}
         return {
             "vehicles": list(self.vehicles),
             "lines": list(self.lines),
-            "common": common and {key: _plain(value) for key, value in common.items()},
+            "common": common,
             "faults": [
                 {"vehicle": self.vehicles[f.vehicle], "name": f.name, "probability": f.probability, "odd": f.odd}
                 for f in self.faults
@@ -154,7 +152,8 @@ def fleet(vehicles: Sequence[str], diagnoses: Sequence[Diagnosis]) -> Fleet:
         group = [name for name, (value, _, _) in ranked if top - value < TWENTY_TO_ONE]
         group += [name for name, _ in ranked if name not in group and _imitate(diagnoses, group[0], name)]
         alike = [{*found.group} for one in diagnoses for found in one.effects if {*found.group} & {*group}]
-        group += sorted(_of_most(alike) - {*group})
+        said = Counter(chain.from_iterable(alike))
+        group += sorted(name for name, count in said.items() if 2 * count >= len(alike) and name not in group)
         weights = dict(zip([name for name, _ in ranked], softmax([0.5 * v for _, (v, _, _) in ranked]), strict=True))
         inside = float(sum(weights.get(name, 0.0) for name in group)) * float(expit(0.5 * (top - THRESHOLD)))
         # Beside a common effect only its own size is compared: the scores of others hold what it leaves in them.
@@ -285,11 +284,6 @@ def _faults(
         if vehicle not in spoken
     ]
     return tuple(sorted(faults, key=lambda fault: (fault.vehicle, -fault.probability)))
-
-
-def _of_most(sets: Sequence[set[str]]) -> set[str]:
-    """Names in at least half of some sets."""
-    return {name for name, count in Counter(chain.from_iterable(sets)).items() if 2 * count >= len(sets)}
 
 
 def _apart(scores: Sequence[Score]) -> Iterator[tuple[float, int]]:

@@ -19,6 +19,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from fluxtwin.calib.common.apply import require_applicable
 from fluxtwin.calib.common.conventions import of_S
@@ -28,8 +29,7 @@ from fluxtwin.gap.noise.choice import choose_noise
 from fluxtwin.gap.noise.robust_rows import CUT_SIGMA
 from fluxtwin.gap.noise.whitening import NoiseModel
 from fluxtwin.gap.problem.problem import Budget, pose
-from fluxtwin.gap.problem.row_axes import turn_images
-from fluxtwin.gap.problem.start import start_without_attitude
+from fluxtwin.gap.problem.row_axes import start_without_attitude, turn_images
 from fluxtwin.gap.selection.refit import settled
 from fluxtwin.sim.base.errors import BadInput, NoAnswer
 from fluxtwin.sim.base.types import BoolArray, FloatArray, IntArray
@@ -81,10 +81,6 @@ class Changed(NamedTuple):
     """The change that has most of the evidence, in words."""
 
 
-def _count() -> int:
-    return 2 * len(DIRECTIONS) * SIZES.size + len(_AXES) * GROWTH.size
-
-
 def _prior() -> FloatArray:
     """A third each to a bias, a scale along the field and noise that grows."""
     of_mean = [1.0 / (len(DIRECTIONS) - 1)] * len(DIRECTIONS)
@@ -92,6 +88,9 @@ def _prior() -> FloatArray:
     weights = np.concatenate([np.repeat(of_mean, 2 * SIZES.size), np.ones(len(_AXES) * GROWTH.size)])
     weights[-len(_AXES) * GROWTH.size :] *= 2.0 * SIZES.size / (len(_AXES) * GROWTH.size)
     return np.asarray(weights / weights.sum())
+
+
+_PRIOR = _prior()
 
 
 @dataclass(eq=False)
@@ -110,10 +109,9 @@ class Watch:
     back: FloatArray = field(init=False)
     """(3, 4) from field to reading, without torquers."""
     settled: FloatArray = field(default_factory=lambda: np.zeros((3, 4)))
-    prior: FloatArray = field(default_factory=_prior)
-    evidence: FloatArray = field(default_factory=lambda: np.zeros(_count()))
-    excursion: FloatArray = field(default_factory=lambda: np.zeros(_count()))
-    since: IntArray = field(default_factory=lambda: np.zeros(_count(), dtype=np.int64))
+    evidence: FloatArray = field(default_factory=lambda: np.zeros(_PRIOR.size))
+    excursion: FloatArray = field(default_factory=lambda: np.zeros(_PRIOR.size))
+    since: IntArray = field(default_factory=lambda: np.zeros(_PRIOR.size, dtype=np.int64))
     wild: BoolArray = field(default_factory=lambda: np.zeros(1, dtype=np.bool_))
     """(1,) whether the last row was beyond six sigma."""
     last: np.datetime64 | None = None
@@ -131,7 +129,7 @@ class Watch:
     @property
     def level(self) -> float:
         """The evidence for any change; at `RUN` it rings."""
-        return float(self.prior @ self.evidence)
+        return float(_PRIOR @ self.evidence)
 
     def take(self, telemetry: Telemetry) -> Changed | None:
         """Take rows; those that are not later than all before are left out. What has changed, where the evidence rings."""
@@ -153,7 +151,7 @@ class Watch:
         steps_s = np.diff(np.concatenate([before, used.time])) / np.timedelta64(1, "s")
         decay = np.exp(-steps_s / self.noise.tau_s) if self.noise.tau_s > 0 else np.zeros(len(used))
         self.innovations = np.empty((len(used), 3))
-        changes = (DIRECTIONS, SIZES, _AXES, GROWTH, self.prior)
+        changes = (DIRECTIONS, SIZES, _AXES, GROWTH, _PRIOR)
         carried = (self.state, self.covariance, self.settled, self.evidence, self.excursion, self.since, self.wild)
         limits = (CUT_SIGMA, _MOST, _MOST_ALONE, RUN)
         stamps = used.time.astype(np.int64)
@@ -199,7 +197,7 @@ class Watch:
         return y, load, np.square(white), present, faults, field_B
 
     def _changed(self, time: np.datetime64) -> Changed:
-        most = int(np.argmax(np.log(self.prior) + self.excursion))
+        most = int(np.argmax(np.log(_PRIOR) + self.excursion))
         since = np.datetime64(int(self.since[most]), "ns")
         return Changed(time, since, self.rows, self._words(most))
 
@@ -253,9 +251,8 @@ def begin(
         # How long ago it was made is no matter: whether it still holds is the question.
         calibration = for_record(replace(calibration, span=None), first)
         require_applicable(first, calibration)
-        corrected = first.replace(
-            mag_B_nT=calibration.apply(first.mag_B_nT, first.dipole_B_Am2, recorded_columns(first))
-        )
+        field_nT = calibration.apply(first.mag_B_nT, first.dipole_B_Am2, recorded_columns(first))
+        corrected = first.replace(mag_B_nT=field_nT)
     blind = not first.has_attitude.any()
     start = start_without_attitude(corrected, model) if blind else None
     thinned = corrected.select(slice(None, None, -(-len(first) // _NOISE_ROWS)))
@@ -267,9 +264,15 @@ def begin(
     if calibration is not None:
         scale = np.concatenate([np.full(9, _USUAL_nT), np.ones(len(calibration.values) - 9)])
         known = calibration.covariance * np.outer(scale, scale)
-        return Watch(model, sure, by_size, calibration, _block(known))
+        return Watch(model, sure, by_size, calibration, block_diag(np.eye(3), known))
     instrument = problem.setting.instrument
-    watch = Watch(model, sure, by_size, Calibration(instrument.S, instrument.b_nT), _block(np.eye(12) * _OPEN_nT**2))
+    watch = Watch(
+        model,
+        sure,
+        by_size,
+        Calibration(instrument.S, instrument.b_nT),
+        block_diag(np.eye(3), np.eye(12) * _OPEN_nT**2),
+    )
     watch.run(first, armed=False, by_size=blind)
     return watch
 
@@ -284,11 +287,3 @@ def _at_most(found: NoiseModel) -> NoiseModel:
         theta_rad=found.theta_rad * float(np.exp(_SURE * found.theta_log_sd) * np.sqrt(slower)),
         tau_s=found.tau_s * slower,
     )
-
-
-def _block(of_parameters: FloatArray) -> FloatArray:
-    """Covariance of the state: attitude error of unit variance, and the parameters."""
-    n = 3 + len(of_parameters)
-    whole = np.eye(n)
-    whole[3:, 3:] = of_parameters
-    return whole

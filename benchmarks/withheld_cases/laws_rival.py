@@ -18,8 +18,7 @@ from typing import Any
 import numpy as np
 from scipy.special import gammaln
 
-from fluxtwin.gap.law.grammar import Grammar
-from fluxtwin.gap.law.search import Regression
+from fluxtwin.gap.law.search import Grammar, Regression
 from fluxtwin.gap.linear.projection import projected
 from fluxtwin.gap.noise.choice import choose_noise, whitener_of
 from fluxtwin.gap.problem.problem import DEFAULT_MODELLED, Budget, pose

@@ -93,10 +93,10 @@ def spread_rows(count: int) -> np.ndarray:
     return np.unique(np.linspace(0, count - 1, min(ROWS, count)).astype(int))
 
 
-def even_directions(count: int) -> FloatArray:
-    """(count, 3) unit vectors spread evenly over the sphere (Fibonacci's spiral)."""
+def even_directions(count: int, first: float = 0.0) -> FloatArray:
+    """(count, 3) unit vectors spread evenly over the sphere (Fibonacci's spiral); first: turn of the first one, in steps."""
     z = 1.0 - 2.0 * (np.arange(count) + 0.5) / count
-    turn = np.pi * (1.0 + np.sqrt(5.0)) * np.arange(count)
+    turn = np.pi * (1.0 + np.sqrt(5.0)) * (np.arange(count) + first)
     across = np.sqrt(1.0 - z**2)
     return np.stack([across * np.cos(turn), across * np.sin(turn), z], axis=1)
 

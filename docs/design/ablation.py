@@ -83,20 +83,17 @@ RULES: dict[str, dict[str, Any]] = {
     "a walk beside all names but a step": {
         f"{GAP}.posterior.structured.Structured._without_a_step": lambda *given: iter([given[2:]])
     },
-    "companions of a wheel's line": {f"{GAP}.detectors.proposals.companion": _no},
-    "a region in the dark": {f"{GAP}.detectors.proposals.switched_region": _none},
+    "companions of a wheel's line": {f"{GAP}.posterior.structured.companion": _no},
+    "a region in the dark": {f"{GAP}.posterior.structured.switched_region": _none},
     "S set anew beside the names": {f"{GAP}.diagnose._beside_the_names": lambda problem, _: problem},
     "white noise of each axis": {f"{GAP}.noise.choice._axis_factor": lambda *given: given[2]},
     "several names likelier wrong than right": {f"{GAP}.report.verdict.likelier_unknown": _no},
     "least share by the attitude error": {
         f"{GAP}.linear.projection.share_of_errors": lambda _, least: least,
-        f"{GAP}.noise.reml.share_of_errors": lambda _, least: least,
+        f"{GAP}.noise.choice.share_of_errors": lambda _, least: least,
     },
     "the field shortened by a turn": {f"{GAP}.problem.problem.Problem._unshortened": lambda *given: given[1]},
-    "images that follow the attitude's error": {
-        f"{GAP}.hypotheses.candidates.MOST_CHANGED": np.inf,
-        f"{GAP}.hypotheses.perturbed_design.MOST_CHANGED": np.inf,
-    },
+    "images that follow the attitude's error": {f"{GAP}.hypotheses.candidates.MOST_CHANGED": np.inf},
     "multiples of the declared step": {f"{GAP}.detectors.codes._common_multiple": lambda *_: []},
     "data quieter than their noise model": {f"{GAP}.selection.score._QUIETEST": 0.0},
     "check: a walk that comes back": {f"{GAP}.detectors.random_walk._COME_BACK": ()},
@@ -108,11 +105,11 @@ RULES: dict[str, dict[str, Any]] = {
         f"{GAP}.detectors.lines.stands_out": _no,
     },
     "check: a block does as well": {
-        f"{GAP}.detectors.{name}.does_as_well": _no_faults for name in ("lines", "two_state", "switched_region")
+        f"{GAP}.detectors.{name}.does_as_well": _no_faults for name in ("lines", "switched")
     },
-    "check: an irregular thermostat": {f"{GAP}.detectors.two_state._regularity": lambda *_: 0.0},
-    "check: a thermostat that is a line": {f"{GAP}.detectors.two_state.stands_out": _no},
-    "a sequence polished": {f"{GAP}.detectors.two_state._polished": lambda _, on: on},
+    "check: an irregular thermostat": {f"{GAP}.detectors.switched._regularity": lambda *_: 0.0},
+    "check: a thermostat that is a line": {f"{GAP}.detectors.switched.stands_out": _no},
+    "a sequence polished": {f"{GAP}.detectors.switched._polished": lambda _, on: on},
 }
 
 

@@ -34,7 +34,6 @@ from withheld_cases.store import Store
 import fluxtwin
 from fluxtwin.gap.hypotheses.blocks import blocks
 from fluxtwin.gap.hypotheses.candidates import candidates
-from fluxtwin.gap.hypotheses.evidence import fit_all
 from fluxtwin.gap.linear.projection import ProjectedResidual, orthonormal
 from fluxtwin.gap.noise.choice import choose_noise, whitener_of
 from fluxtwin.gap.problem.problem import Budget, pose
@@ -74,7 +73,7 @@ def shares(store: Store, name: str) -> tuple[str, float, float, float] | None:
     left = ProjectedResidual(
         search.channel.whitener, flat - basis @ (basis.T @ flat), basis, flat.size - basis.shape[1]
     )
-    each = [one.explained() for one in fit_all(blocks(problem), left)]
+    each = [one.explained() for one in [fit(block, left) for block in blocks(problem)]]
     chance = 2.0 * float(np.log(len(each)))
     beyond = [(max(gain - rank - chance, 0.0) / drop, rank) for gain, rank in each if rank]
     return truth, drop, max(part / rank for part, rank in beyond), max(part for part, _ in beyond)

@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -83,24 +84,17 @@ class Arcs:
     orbit: tuple[FloatArray, FloatArray]
     """(N, 3) position [km] and velocity [km/s] in N at all rows: as reported, or less what is named of its error."""
 
-    def elsewhere(self, orbit: tuple[FloatArray, FloatArray]) -> Arcs:
-        """The same arcs with the body at other places."""
-        return self._beside(replace(self, orbit=orbit), "driven")
-
-    def _beside(self, moved: Arcs, *same: str) -> Arcs:
-        """Other arcs, with what is the same for them."""
-        for name in same:
-            moved.__dict__[name] = getattr(self, name)
+    def but(self, **changes: Any) -> Arcs:
+        """The same arcs with other fields, and what does not follow from these as it was made."""
+        moved = replace(self, **changes)
+        for made, of in (("around", "orbit"), ("driven", "held")):
+            if of not in changes:
+                moved.__dict__[made] = getattr(self, made)
         return moved
-
-    def along(self, track: Rotation, momentum_N: FloatArray) -> Arcs:
-        """The same arcs about another motion."""
-        return self._beside(replace(self, track=track, momentum_N=momentum_N), "around", "driven")
 
     def of(self, vehicle: Vehicle) -> Arcs:
         """The same arcs with another vehicle in place of the modelled one, from the same rates."""
-        moved = replace(self, craft=replace(self.craft, vehicle=vehicle), momentum_N=self.momentum_of(vehicle))
-        return self._beside(moved, "around", "driven")
+        return self.but(craft=replace(self.craft, vehicle=vehicle), momentum_N=self.momentum_of(vehicle))
 
     @cached_property
     def seconds(self) -> FloatArray:
@@ -188,10 +182,6 @@ class Arcs:
         fly_arcs(state, inverse, *vehicle.packed(), self.around, wheels, dipole, step_s)
         R = Rotation.from_matrix(state[:, :9].reshape(-1, 3, 3))
         return np.hstack([(R * self.track[end].inv()).as_rotvec(), state[:, 9:] - momentum_N[end]])
-
-    def holding(self, axis: int) -> Arcs:
-        """The same arcs with the dipole about one axis held from row to row."""
-        return self._beside(replace(self, held=self.held | (np.arange(3) == axis)), "around")
 
     def momentum_of(self, vehicle: Vehicle) -> FloatArray:
         """(N, 3) the momentum that another vehicle has at the same rates."""
@@ -401,7 +391,7 @@ class Windows:
             turn[window.rows] = states[:, :3]
             momentum[window.rows] += states[:, 3:]
         track = Rotation.from_rotvec(turn) * self.arcs.track
-        return Windows(self.arcs.along(track, momentum), self.windows)
+        return Windows(self.arcs.but(track=track, momentum_N=momentum), self.windows)
 
     def _slow_torques(self, arc: slice) -> FloatArray:
         """(n, 6, 9) what torques in N that stand, grow and bend over a window do in each of its arcs."""

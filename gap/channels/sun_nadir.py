@@ -8,13 +8,18 @@ normal of the plane across.
 
 Each hypothesis is fitted alone to measured less computed angles, by least squares; errors within a pass are taken as
 one, and passes must number at least eight.
+
+In the answer the angle adds, confirms and rules out causes. Faults of an attitude sensor predict a change of the angle;
+whatever the magnetometer or the spacecraft's field does predicts none. So the angle decides where readings cannot: a cause
+that predicts a change which is not there is ruled out and the search is done again without it; a fault that the angle shows
+is named, whether the readings show it or not.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from scipy.special import expit
@@ -26,12 +31,16 @@ from fluxtwin.calib.attitude.horizon_scanner import sun_and_nadir
 from fluxtwin.calib.common.covariance import make_blocks
 from fluxtwin.calib.common.criterion import FALSE_ALARM
 from fluxtwin.gap.linear.projection import orthonormal
+from fluxtwin.gap.records.diagnosis import EffectParameter, Estimate, FoundEffect, Inner, Record
 from fluxtwin.gap.selection.criterion import THRESHOLD, worth
 from fluxtwin.gap.selection.refit import WHOLLY
+from fluxtwin.gap.selection.search import axis_of
 from fluxtwin.sim.base.errors import NoAnswer
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import epoch, frames, sun
 from fluxtwin.sim.earth.frames import angle_between
+from fluxtwin.sim.effects.chain import Active
+from fluxtwin.sim.effects.clock_and_orbit import AlongTrackError
 from fluxtwin.sim.telemetry.record import Telemetry
 
 FEWEST_PASSES = 8
@@ -52,29 +61,30 @@ _SEEN_RAD = float(np.radians(0.1))
 Key = tuple[str, int | None]
 Designs = dict[Key, tuple[tuple[str, ...], FloatArray]]
 """By fault and head: names of the parameters, and the change of the angle per radian of each (N, k)."""
+NOT_THERE = "the angle between sun and nadir does not show it"
 
 
 @dataclass(frozen=True)
-class Hypothesis:
+class Hypothesis(Record):
     """One fault of the attitude sensors and how well it explains the angles."""
 
     name: str
     """A name of the catalogue of effects."""
     head: int | None
     """Of a turned sun-sensor head its number."""
-    parameters: dict[str, tuple[float, float]]
+    parameters: Mapping[str, EffectParameter]
     """Value and sigma in deg by name: `turn_x` ... (sun as measured is the true one so turned), or `roll` ... (measured
     less true). Only what the angle can see: along directions that it cannot see the value is zero."""
     p_value: float
     """That nothing of the kind is there, corrected for the number of hypotheses tried."""
-    worth: float
+    worth: Annotated[float, Inner]
     """By the criterion of all explanations, over the passes: errors within one are taken as one."""
     explained: float
     """Share of the mean square of the angles that it takes away."""
     rms_left_deg: float
     seen: tuple[str, ...] = ()
     """Parameters of which every part is seen; of the others only sums are."""
-    amount_deg: tuple[float, float] = (0.0, 0.0)
+    amount_deg: Estimate = (0.0, 0.0)
     """Length of the vector of parameters, and its sigma along itself, with an allowance for errors that the passes
     share: a digital head rounds alike in all of them."""
 
@@ -88,19 +98,6 @@ class Hypothesis:
         """Its name, with the head."""
         return self.name if self.head is None else f"{self.name} of head {self.head}"
 
-    def to_dict(self) -> dict[str, Any]:
-        """Plain numbers and text."""
-        return {
-            "name": self.name,
-            "head": self.head,
-            "parameters": {k: {"value": v, "sigma": s, "unit": "deg"} for k, (v, s) in self.parameters.items()},
-            "p_value": self.p_value,
-            "explained": self.explained,
-            "rms_left_deg": self.rms_left_deg,
-            "seen": list(self.seen),
-            "amount_deg": {"value": self.amount_deg[0], "sigma": self.amount_deg[1]},
-        }
-
 
 @dataclass(frozen=True)
 class SunNadir:
@@ -112,6 +109,10 @@ class SunNadir:
     """Measured less computed angle."""
     hypotheses: tuple[Hypothesis, ...]
     """Best first."""
+    ruled_out: tuple[str, ...] = ()
+    """Names that readings would accept and the angle does not."""
+    of_rotation: bool = False
+    """Whether readings name a rotation in S, or might."""
 
     @property
     def named(self) -> Hypothesis | None:
@@ -154,6 +155,38 @@ class SunNadir:
             "hypotheses": [item.to_dict() for item in self.hypotheses],
             "words": self.words,
         }
+
+    @property
+    def notes(self) -> list[str]:
+        """Sentences."""
+        speaks = self.named is not None or bool(self.ruled_out) or self.of_rotation
+        why = "would explain the readings, but the angle between sun and nadir does not show it: ruled out"
+        return [*([self.words] if speaks else []), *(f"{name} {why}" for name in self.ruled_out)]
+
+    def beside(self, effects: Sequence[FoundEffect]) -> tuple[list[FoundEffect], FoundEffect | None]:
+        """The effects with what the angle shows: one of them confirmed; or one more, apart."""
+        named = self.named
+        if named is None:
+            return list(effects), None
+        for fault in (named, *self.rivals):  # what the readings name goes before what the angle likes best
+            for place, one in enumerate(effects):
+                if one.name == fault.name and (one.settings.get("head") or None) == fault.head:
+                    confirmed = _confirmed(one, _entry(self, fault))
+                    return [*effects[:place], confirmed, *effects[place + 1 :]], None
+        return list(effects), _entry(self, named)
+
+    def said(self, others: str | None, left_nT: float) -> str:
+        """What it names, in words, after those on other causes; left_nT: what the readings have where there are none."""
+        named = self.named
+        assert named is not None
+        size, sigma = named.amount_deg
+        shown = (
+            f"{named.words} ({size:.2f} ± {sigma:.2f} deg in the directions that the angle can see): it lowers the error of "
+            f"the angle between sun and nadir from {self.rms_deg:.2f} to {named.rms_left_deg:.2f} deg rms"
+        )
+        if others is None:
+            return f"The gap is explained by {shown}. The magnetometer readings show no gap (residual {left_nT:.1f} nT rms)."
+        return f"{others} In addition, there is {shown}."
 
 
 @dataclass(frozen=True, eq=False)
@@ -299,7 +332,8 @@ def _weigh(
     white = float(np.sqrt(np.mean(residual**2)))
     seen = vectors[:, values > (white / _SEEN_RAD) ** 2]
     if not seen.size:
-        return Hypothesis(*key, dict.fromkeys(names, (0.0, 0.0)), 1.0, 0.0, 0.0, float(np.degrees(white)))
+        nothing = dict.fromkeys(names, EffectParameter(0.0, 0.0, "deg"))
+        return Hypothesis(*key, nothing, 1.0, 0.0, 0.0, float(np.degrees(white)))
     A = J @ seen
     inverse = np.linalg.inv(A.T @ A)
     theta = inverse @ (A.T @ residual)
@@ -324,7 +358,7 @@ def _weigh(
     return Hypothesis(
         name=key[0],
         head=key[1],
-        parameters={name: (value, spread) for name, value, spread in deg},
+        parameters={name: EffectParameter(value, spread, "deg") for name, value, spread in deg},
         p_value=min(1.0, p_value * tried),
         worth=worth(float(chi2.isf(max(p_value, 1e-300), k)), k, max(n, 2), float(np.log(tried))),
         explained=float(1.0 - np.mean(left**2) / np.mean(residual**2)),
@@ -360,3 +394,76 @@ def _jackknife(
         away.append(np.linalg.lstsq(left, b - part.T @ residual[of_row == number], rcond=1e-10)[0] - theta)
     shift = np.array(away)
     return np.asarray((len(passes) - 1) / len(passes) * shift.T @ shift)
+
+
+def channel_of(telemetry: Telemetry, frozen: Sequence[Active] = ()) -> Channel | None:
+    """The channel with what the scenario's own effects do to it taken out; None where a record has no such channel."""
+    if telemetry.sun_B is None or telemetry.nadir_B is None or telemetry.r_N_km is None:
+        return None
+    try:
+        channel = open_channel(telemetry)
+    except NoAnswer:
+        return None
+    for effect, theta in frozen:
+        values = {one.name: float(value) for one, value in zip(effect.parameters, theta, strict=True)}
+        channel = channel.without(effect.name, getattr(effect, "head", None) or None, values)
+    return channel
+
+
+def ruled_out(named: Sequence[FoundEffect], channel: Channel) -> dict[str, str]:
+    """{name: why} of named effects that predict a change of the angle which is not there."""
+    channel, gone = _beside_orbit(named, channel), {}
+    for one in named:
+        values = {name: parameter.value for name, parameter in one.parameters.items()}
+        change = channel.predicted_rad(one.name, one.settings.get("head") or None, values)
+        if change is not None and channel.contradicts(change):
+            gone[one.name] = NOT_THERE
+    return gone
+
+
+def weighed(named: Sequence[FoundEffect], channel: Channel, out: Sequence[str], *, unexplained: bool) -> SunNadir:
+    """What the angle says beside the named effects, and beside those that it has ruled out. unexplained: whether readings
+    have a gap that nothing named explains, which may be a wrong orbit."""
+    rotation = any("scale_misalignment" in one.group for one in named)
+    beside = channel.beside_orbit() if unexplained else _beside_orbit(named, channel)
+    return replace(beside.weigh(), ruled_out=tuple(out), of_rotation=rotation)
+
+
+def _beside_orbit(named: Sequence[FoundEffect], channel: Channel) -> Channel:
+    """The channel beside an error of the orbit, where the readings may name one."""
+    return channel.beside_orbit() if any(AlongTrackError.name in (one.name, *one.group) for one in named) else channel
+
+
+def _entry(weighed: SunNadir, named: Hypothesis) -> FoundEffect:
+    """The fault as a cause. A parameter of which only sums with others are seen has no sigma."""
+    head = named.head is not None
+    known = named.parameters.items()
+    parameters = {name: one if name in named.seen else replace(one, sigma=None) for name, one in known}
+    return FoundEffect(
+        name=named.name,
+        group=tuple(dict.fromkeys([named.name, *(other.name for other in weighed.rivals)])),
+        rivals=(),
+        probability=named.probability,
+        parameters=parameters,
+        settings={"head": named.head} if head else {},
+        stage="attitude",
+        axis=axis_of(np.array([one.value for one in named.parameters.values()]) ** 2) if head else "all",
+        frame="body" if head else "orbital",
+        condition="head" if head else "latitude",
+        significance=named.p_value,
+        visible_nT=0.0,
+    )
+
+
+def _confirmed(one: FoundEffect, entry: FoundEffect) -> FoundEffect:
+    """What readings and angle both show: names that predict no change of the angle leave its group."""
+    gone = [name for name in one.group if name not in (one.name, *entry.group)]
+    doubt = 1.0 - entry.probability
+    rivals = [*one.rivals, *((name, doubt / len(gone)) for name in gone)]
+    return replace(
+        one,
+        group=tuple(name for name in one.group if name not in gone),
+        rivals=tuple((name, min(probability, doubt)) for name, probability in rivals),
+        probability=1.0 - (1.0 - one.probability) * doubt,
+        significance=min(one.significance, entry.significance),
+    )

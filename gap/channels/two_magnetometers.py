@@ -13,15 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from fluxtwin.calib.common.conventions import of_S
+from fluxtwin.gap.hypotheses.blocks import OWN_STAGES
 from fluxtwin.gap.linear.projection import ProjectedResidual, explained_in_units, orthonormal, projected
 from fluxtwin.gap.noise.robust_rows import CUT_SIGMA, standing_out
-from fluxtwin.gap.problem.problem import Problem
+from fluxtwin.gap.problem.problem import DEFAULT_MODELLED, Problem
 from fluxtwin.gap.selection.criterion import SHAPE, THRESHOLD
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 
-_CALIBRATION = ("bias", "scale_misalignment")
-OWN_STAGES = ("spacecraft", "sensor")
-"""Stages that are not the same for both."""
 _FEWEST_ROWS = 50
 """Of which both have a reading: four for each of the twelve parameters of a relative calibration."""
 _FURTHEST = 2.0
@@ -51,17 +49,6 @@ class _White:
 
 
 @dataclass(frozen=True, eq=False)
-class Cause:
-    """An effect that would explain the first magnetometer's readings."""
-
-    stage: str
-    columns_nT: FloatArray
-    """(N, 3, p) derivative by its parameters."""
-    image_nT: FloatArray
-    """(N, 3) what is to be explained."""
-
-
-@dataclass(frozen=True, eq=False)
 class Apart:
     """The first magnetometer's readings less the second's."""
 
@@ -72,23 +59,31 @@ class Apart:
     noise_nT: float
     """What the noise of both gives, per component."""
 
-    def denies(self, readings: ProjectedResidual, causes: Sequence[Cause], others_nT: Sequence[FloatArray]) -> bool:
+    def denies(
+        self,
+        readings: ProjectedResidual,
+        stage: str,
+        alternatives_nT: Sequence[FloatArray],
+        image_nT: FloatArray,
+        others_nT: Sequence[FloatArray],
+    ) -> bool:
         """Whether the difference denies a cause in all its alternatives: one of the sensor must be in it as it is in the
         first one's readings, one that both share must not; of the spacecraft it may be there or not.
 
-        readings: what the cause was found in, beside what is re-estimated; others_nT: columns (N, 3, p) of other causes.
-        A size that readings alone give is as unsure as their attitude: so the cause is fitted to both at once, and weighed
-        by the criterion. An alternative that explains nothing of the readings, while another does, cannot be the cause.
+        readings: what the cause was found in, beside what is re-estimated; alternatives_nT, others_nT: columns (N, 3, p), of
+        the cause and of others; image_nT (N, 3): what is to be explained of the readings. A size that readings alone give is
+        as unsure as their attitude: so the cause is fitted to both at once, and weighed by the criterion. An alternative
+        that explains nothing of the readings, while another does, cannot be the cause.
         """
         drops = []
-        for cause in causes:
-            gram, moment = _products(readings, cause.columns_nT, others_nT, cause.image_nT)
-            its_gram, its_moment = _products(self.left, cause.columns_nT, others_nT, None)
+        for columns_nT in alternatives_nT:
+            gram, moment = _products(readings, columns_nT, others_nT, image_nT)
+            its_gram, its_moment = _products(self.left, columns_nT, others_nT, None)
             own, _ = explained_in_units(gram, moment)
             both, _ = explained_in_units(gram + its_gram, moment + its_moment)
-            drops.append((cause.stage, own, both))
-        least = min(THRESHOLD, max((shared for _, shared, _ in drops), default=0.0))
-        return bool(drops) and all(_denied(*one) for one in drops if one[1] >= least)
+            drops.append((own, both))
+        least = min(THRESHOLD, max((shared for shared, _ in drops), default=0.0))
+        return bool(drops) and all(_denied(stage, *one) for one in drops if one[0] >= least)
 
 
 def _denied(stage: str, shared: float, own: float) -> bool:
@@ -120,7 +115,8 @@ def apart(problem: Problem) -> Apart | None:
         return None
     difference = np.where(both[:, None], first - second, 0.0)
     field_B_nT = problem.design.signal([*problem.frozen, *problem.modelled_active]).field_B_nT
-    relative = _relative(field_B_nT)
+    # What S, row by row, and b of one against the other make of the field.
+    relative = np.concatenate([of_S(field_B_nT), np.broadcast_to(np.eye(3), (problem.rows, 3, 3))], axis=2)
     # That field has the errors of the attitude in it, by which the two readings differ as far as their S do.
     columns, both_nT = relative[both].reshape(-1, 12), np.stack([difference[both], first[both]], axis=-1).reshape(-1, 2)
     size, *_ = np.linalg.lstsq(columns, both_nT, rcond=None)
@@ -133,7 +129,7 @@ def apart(problem: Problem) -> Apart | None:
     own[both] = (both_nT[:, 1] - columns @ size[:, 1]).reshape(-1, 3)
     difference[both] -= own[both] @ relative_S.T
     difference = np.linalg.solve(second_of_first, difference.T).T
-    beside = [one for one in problem.modelled_active if one[0].name not in _CALIBRATION]
+    beside = [one for one in problem.modelled_active if one[0].name not in DEFAULT_MODELLED]
     beside += [one for one in problem.frozen if one[0].stage in OWN_STAGES]
     fitted = np.concatenate([relative, problem.derivatives(beside)], axis=2)
     kept = np.repeat(both[:, None], 3, axis=1)
@@ -147,11 +143,6 @@ def apart(problem: Problem) -> Apart | None:
     left = projected(_White(sigma_nT, kept), difference, fitted)
     rms_nT = float(np.sqrt(np.sum(rest[kept] ** 2) / left.degrees))
     return Apart(left, rms_nT, float(np.sqrt(np.mean(sigma_nT**2))))
-
-
-def _relative(field_B_nT: FloatArray) -> FloatArray:
-    """(N, 3, 12) what S and b of one magnetometer against the other make of a field (N, 3): by S row by row, and b."""
-    return np.concatenate([of_S(field_B_nT), np.broadcast_to(np.eye(3), (len(field_B_nT), 3, 3))], axis=2)
 
 
 def _steps_along(values_nT: FloatArray, field_B_nT: FloatArray) -> FloatArray:

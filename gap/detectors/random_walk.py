@@ -11,11 +11,10 @@ import numpy as np
 from scipy import stats
 
 from fluxtwin.calib.common.criterion import FALSE_ALARM
-from fluxtwin.gap.detectors.finding import Finding
-from fluxtwin.gap.detectors.waveforms import gaussian
+from fluxtwin.gap.detectors.finding import Finding, gaussian
 from fluxtwin.gap.hypotheses.blocks import in_body
 from fluxtwin.gap.linear.projection import SHARE_LEFT, ProjectedResidual
-from fluxtwin.gap.noise.walk import RMS
+from fluxtwin.gap.noise.whitening import RMS
 from fluxtwin.gap.selection.criterion import THRESHOLD
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.calibration import BiasRandomWalk

@@ -13,10 +13,9 @@ from typing import Any
 
 import numpy as np
 
+from fluxtwin.gap.detectors.finding import in_parts
 from fluxtwin.gap.detectors.lines import independent_frequencies, strongest_line
-from fluxtwin.gap.detectors.waveforms import in_parts
-from fluxtwin.gap.hypotheses.blocks import blocks, step_block
-from fluxtwin.gap.hypotheses.evidence import BlockFit, Dictionary, fit, fit_all
+from fluxtwin.gap.hypotheses.blocks import BlockFit, Dictionary, blocks, fit, step_block
 from fluxtwin.gap.linear.projection import (
     SHARE_LEFT,
     ProjectedResidual,
@@ -83,7 +82,8 @@ def residual_structure(
     calibration included. Both in nT; they are whitened here. found: blocks made before for this design.
     """
     left = projected(whitener, residual_nT, fitted)
-    return judge(problem, left, fit_all(blocks(problem), left) if found is None else found.fits(left))
+    fits = [fit(block, left) for block in blocks(problem)] if found is None else found.fits(left)
+    return judge(problem, left, fits)
 
 
 def judge(

@@ -1,30 +1,39 @@
-"""Closing the loop: the named effects as sections of a scenario, so that the simulation has them too."""
+"""Closing the loop: the named effects as sections of a scenario, so that the simulation has them too.
+
+The other way round, `without_effects` takes those that a scenario has out of telemetry.
+"""
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from fluxtwin.calib.common.orbit_error import ahead
 from fluxtwin.calib.common.records import Calibration
-from fluxtwin.gap.noise.budget import reading_spacing
-from fluxtwin.gap.problem.problem import CALIBRATION, calibrated, corrected
+from fluxtwin.gap.hypotheses.blocks import OWN_STAGES
+from fluxtwin.gap.noise.choice import reading_spacing
+from fluxtwin.gap.problem.problem import CALIBRATION, calibrated, corrected, pose
 from fluxtwin.gap.records.diagnosis import Closure, EffectParameter, Transfer
 from fluxtwin.gap.selection.forward import RATIOS
-from fluxtwin.gap.selection.named import parameters_of
 from fluxtwin.gap.selection.refit import Readings, covariance_of, moving, refit
+from fluxtwin.gap.selection.search import parameters_of
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import epoch
+from fluxtwin.sim.earth.field import FieldModel
 from fluxtwin.sim.effects.base import Effect, SignalEffect
 from fluxtwin.sim.effects.chain import Active
+from fluxtwin.sim.effects.clock_and_orbit import AlongTrackError
 from fluxtwin.sim.scenario.effect_sections import effect_section
 from fluxtwin.sim.scenario.scenario import Scenario, parse_scenario
 from fluxtwin.sim.spacecraft.sensors.magnetometer import Magnetometer
+from fluxtwin.sim.telemetry.companions import ALONG_TRACK_KM
+from fluxtwin.sim.telemetry.record import Telemetry
 
 _ROUNDS = 2
 """A change of S by 1 % moves an effect by 1 %, so the second fit is good to 1e-4 of it."""
@@ -243,3 +252,45 @@ def _replaying(closure: Closure, telemetry: Path, column_map: Path | None) -> Sc
         where="closing",
     )
     return base.updated({"spacecraft.name": name})
+
+
+@dataclass(frozen=True)
+class TakenOut:
+    """The record, the names of what was taken out of it, and of what it still has."""
+
+    telemetry: Telemetry
+    taken: tuple[str, ...]
+    left: tuple[str, ...]
+    """What is no error of readings or positions (clock, attitude, field), or cannot be known row by row (noise, bits)."""
+
+
+def without_effects(
+    telemetry: Telemetry, model: FieldModel, instrument: Magnetometer, active: Sequence[Active]
+) -> TakenOut:
+    """The record as it would be without these effects; instrument: S, b and T of equation 1, through which they act.
+
+    Positions go where they truly were. What effects of spacecraft and sensor do is computed from field, attitude and
+    housekeeping, and taken from the readings (N, 3) [nT]; rows of which that is not known are left without reading.
+    Raises BadInput and NoAnswer as `pose`.
+    """
+    of_orbit = [one for one in active if isinstance(one[0], AlongTrackError)]
+    of_readings = [
+        one
+        for one in active
+        if isinstance(one[0], SignalEffect) and one[0].stage in OWN_STAGES and not one[0].after_noise
+    ]
+    setting = pose(telemetry, model, modelled=(), instrument=instrument).setting
+    for effect, theta in of_orbit:
+        assert isinstance(effect, AlongTrackError)
+        error_km = np.broadcast_to(effect.size(replace(setting, time=telemetry.time), theta), len(telemetry))
+        known = {key: text for key, text in telemetry.provenance.items() if key != ALONG_TRACK_KM}
+        telemetry = ahead(telemetry, -error_km).replace(provenance=known)
+    if of_readings:
+        problem = pose(telemetry, model, modelled=(), instrument=instrument)
+        change = problem.chain.reading_nT(of_readings) - problem.chain.reading_nT()
+        rows = np.isin(telemetry.time, problem.telemetry.time)
+        mag = np.full((len(telemetry), 3), np.nan)
+        mag[rows] = telemetry.mag_B_nT[rows] - change
+        telemetry = telemetry.replace(mag_B_nT=mag)
+    taken = tuple(effect.name for effect, _ in (*of_orbit, *of_readings))
+    return TakenOut(telemetry, taken, tuple(effect.name for effect, _ in active if effect.name not in taken))

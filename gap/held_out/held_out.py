@@ -16,7 +16,7 @@ import numpy as np
 from scipy.special import logsumexp
 from scipy.stats import halfnorm, norm
 
-from fluxtwin.gap.hypotheses.perturbed_design import SLOW_S
+from fluxtwin.gap.hypotheses.candidates import SLOW_S
 from fluxtwin.gap.linear.projection import Whitens
 from fluxtwin.gap.problem.problem import Problem
 from fluxtwin.gap.problem.row_axes import RowAxes
@@ -50,10 +50,8 @@ class Fitted:
     @classmethod
     def of(cls, problem: Problem, whitener: Whitens, residual_nT: FloatArray, columns_nT: FloatArray) -> Fitted:
         """From a residual (N, 3) and what is fitted (N, 3, P), both in body axes."""
-        white = whitener.apply(columns_nT) if columns_nT.size else columns_nT
-        return cls(
-            problem.in_row_axes(residual_nT), problem.in_row_axes(columns_nT), whitener.apply(residual_nT), white
-        )
+        plain = (problem.in_row_axes(residual_nT), problem.in_row_axes(columns_nT))
+        return cls(*plain, whitener.apply(residual_nT), whitener.apply(columns_nT) if columns_nT.size else columns_nT)
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,12 +104,10 @@ class Prediction:
 
     def series(self, time: TimeArray, named: bool) -> GapSeries:
         """For figures, in body axes; NaN where there is no prediction. Without a named effect, after is before."""
-        parts = (self.before_nT, self.after_nT if named else self.before_nT)
-        unseen = ~self.counted[:, None]
-        before, after = (
-            np.where(unseen, np.nan, part if self.axes is None else self.axes.in_body(part)) for part in parts
-        )
-        return GapSeries(time, before, after)
+        parts = [self.before_nT, self.after_nT if named else self.before_nT]
+        if self.axes is not None:
+            parts = [self.axes.in_body(part) for part in parts]
+        return GapSeries(time, *(np.where(self.counted[:, None], part, np.nan) for part in parts))
 
     def shrinkage(self, named: bool, shape_incomplete: bool = False, left_nT: float = 0.0) -> Shrinkage:
         """The figures of the contract, over what is measured. Without a named effect, after is before."""

@@ -15,8 +15,7 @@ import numpy as np
 from fluxtwin.gap.detectors.residual_structure import PARTS, parts, residual_structure
 from fluxtwin.gap.held_out.held_out import Fitted, Prediction, floor_rms_nT, predict_blocks
 from fluxtwin.gap.law import words
-from fluxtwin.gap.law.grammar import Grammar
-from fluxtwin.gap.law.search import Regression
+from fluxtwin.gap.law.search import Grammar, Regression
 from fluxtwin.gap.linear.projection import projected
 from fluxtwin.gap.noise.choice import NoiseChoice, noise_beside, whitener_of
 from fluxtwin.gap.noise.whitening import Whitener

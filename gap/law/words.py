@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 from fluxtwin.calib.common.digits import measured
+from fluxtwin.calib.common.observability import listed
 from fluxtwin.gap.records.diagnosis import Law, LawTerm
 from fluxtwin.sim.effects.law import FIELD, GEOMETRY, timed
 from fluxtwin.sim.effects.law import Law as LawEffect
@@ -108,13 +109,12 @@ def term(one: LawTerm) -> str:
     every = one.coefficients.items()
     seen = [(axis, pair) for axis, pair in every if pair[1] is None or abs(pair[0]) > _NOT_SHOWN * pair[1]]
     sizes = [f"{measured(value, sigma)} {one.unit} on {axis}" for axis, (value, sigma) in seen or every]
-    size = " and ".join(sizes) if len(sizes) < 3 else f"{', '.join(sizes[:-1])} and {sizes[-1]}"
     frame = "" if one.axes == "body" else f" of {_FRAMES[one.axes]}"
     gates = [found for found in map(gate, one.of[1:]) if found]
     plain = [factor(text) for number, text in enumerate(one.of) if number == 0 or gate(text) is None]
     late = [f"{one.delay_s:.3g} s late"] if one.delay_s else []
     late += [f"behind a lag of {one.lag_s:.3g} s"] if one.lag_s else []
-    return ", ".join([f"{size}{frame}, times {' times '.join(plain)}", *late, *gates])
+    return ", ".join([f"{listed(sizes)}{frame}, times {' times '.join(plain)}", *late, *gates])
 
 
 def made_of(terms: Sequence[LawTerm]) -> str:

@@ -1,30 +1,421 @@
-"""The noise of a problem: budget, model, outliers, whitening. The front door of the modules around it."""
+"""The noise of a problem: budget, model, outliers, whitening. The front door of the modules around it.
+
+The budget is what is known before the fit: declared, or estimated from the readings themselves.
+
+The model is chosen by restricted maximum likelihood. With V = sigma**2 W(theta / sigma, tau) and one orthonormal basis Q of
+the design, the restricted likelihood (Patterson & Thompson 1971, doi 10.1093/biomet/58.3.545) plus the log prior of the
+budget is
+
+    l = -1/2 [log det W + log det Q' W^-1 Q + nu log sigma**2 + RSS / sigma**2] + log prior(sigma, theta, tau).
+
+Q is the same at every point of the search: a basis that moves with the point, or columns that repeat each other,
+would tilt the choice.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import solve_triangular
+from scipy.special import softmax, wrightomega
 
-from fluxtwin.gap.noise.budget import NoisePrior, prior_of
-from fluxtwin.gap.noise.budget import complete_budget as complete_budget
-from fluxtwin.gap.noise.reml import Choice, Data, Likelihood, best_noise
-from fluxtwin.gap.noise.reml import Likely as Likely
-from fluxtwin.gap.noise.reml import likely_noises as _likely_noises
+from fluxtwin.calib.common.robust import MAD_TO_SIGMA
+from fluxtwin.gap.linear.projection import SHARE_PICKED, share_of_errors, span_of
 from fluxtwin.gap.noise.robust_rows import RobustRows as RobustRows
 from fluxtwin.gap.noise.robust_rows import first_weights, spike_weights
 from fluxtwin.gap.noise.whitening import NoiseModel as NoiseModel
 from fluxtwin.gap.noise.whitening import Whitener as Whitener
 from fluxtwin.gap.noise.whitening import make_whitener
-from fluxtwin.gap.problem.problem import Problem
+from fluxtwin.gap.problem.problem import Budget, Problem
 from fluxtwin.gap.problem.row_axes import RowAxes
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.effects.chain import Active
 
+DECLARED = "declared"
+FROM_SPACING = "estimated from the spacing of the readings"
+FROM_DIFFERENCES = "estimated from short differences"
+NOT_KNOWN = "not known"
+
+NOISE_LOG_SD = 0.1
+"""The declared noise is trusted to 10 %: data sheets give two digits."""
+ATTITUDE_LOG_SD = 0.4
+"""The declared attitude error is trusted to a factor 1.5: requirements are round numbers, and met with margin."""
+TAU_LOG_SD = 0.5
+"""A declared time constant is one number for a spectrum."""
+USUAL_TAU_S, _USUAL_TAU_LOG_SD = 100.0, 1.5
+"""Undeclared: from a sensor's own noise, some seconds, to ten minutes of an attitude filter, at 1.3 standard deviations."""
+_WIDE_LOG_SD = 0.7
+"""Noise that was estimated from differences: a factor two either way, as it takes all fast errors for noise."""
+_LEAST_NOISE_nT = 1e-3
+"""What a noise-free, unrounded simulation is held to have: the last decimal of a written reading."""
+_RATIOS = (1e-3, 1e6)
+"""Attitude error times field over white noise: below it does nothing, above there is nothing but it."""
+_LONGEST_S = 3000.0
+"""Half an orbit: an error with a longer memory is a constant turn, which calibrations take up."""
+_WIDE, _NARROW = float(np.log(4.0)), 0.1
+"""In the logarithms of ratio and time constant: the longest step of the search, and that of differences."""
+_CLOSE = 1e-3
+"""In log likelihood, which is 0.04 standard deviations: no step is taken for less."""
+_NOTHING = -1e12
+_LATTICE = 1.5 * np.arange(-3, 4)
+"""In standard deviations: as far as a noise model goes that takes a barely visible cause up (20 of chi-square), in steps
+that miss the best of them by half a unit of chi-square."""
+_HOPELESS = 6.0
+"""In log likelihood: an error without memory that is so far behind at the ratio of one with memory is left alone."""
 _ROUNDS = 4  # of noise and spikes in turn; two settle all but records with many bit errors
 _UNEVEN = 1.25  # axes whose white noise differs by more get a factor each: less costs at most 5 % (Kantorovich's bound)
+
+
+@dataclass(frozen=True)
+class NoisePrior:
+    """Normal priors of the logarithms; None where nothing is known."""
+
+    sigma_nT: float
+    """White noise of a reading with rounding, 1 sigma per axis."""
+    sigma_log_sd: float
+    theta_rad: float | None = None
+    theta_log_sd: float = ATTITUDE_LOG_SD
+    tau_s: float | None = None
+    """Declared time constant; None leaves it to the data, white included."""
+
+    def log_density(self, sigma_nT: float, theta_rad: float, tau_s: float) -> float:
+        """Log of the prior at a point, without its constant; a theta or tau of zero has the peak's."""
+        total = (np.log(sigma_nT / self.sigma_nT) / self.sigma_log_sd) ** 2
+        if self.theta_rad and theta_rad > 0:
+            total += (np.log(theta_rad / self.theta_rad) / self.theta_log_sd) ** 2
+        usual_s, log_sd = (USUAL_TAU_S, _USUAL_TAU_LOG_SD) if self.tau_s is None else (self.tau_s, TAU_LOG_SD)
+        if tau_s > 0 and usual_s:
+            total += (np.log(tau_s / usual_s) / log_sd) ** 2
+        return -0.5 * float(total)
+
+
+def complete_budget(problem: Problem) -> Budget:
+    """The budget of a problem with what was not declared filled in from the readings; `sources` says which.
+
+    The LSB comes from the spacing of the readings, the noise from short differences of the residual along the
+    field, where the attitude error does not reach. The attitude error stays None if it was not declared.
+    """
+    given = problem.budget
+    sources = dict(given.sources or {})
+    lsb = given.lsb_nT
+    if lsb is None:
+        lsb = reading_spacing(np.asarray(problem.telemetry.mag_B_nT))
+        sources["lsb_nT"] = FROM_SPACING if lsb is not None else NOT_KNOWN
+    else:
+        sources.setdefault("lsb_nT", DECLARED)
+    noise = given.noise_nT
+    if noise is None:
+        total = short_difference_sigma(problem.residual_nT, problem.field_B_nT, problem.segment)
+        noise = float(np.sqrt(max(total**2 - (lsb or 0.0) ** 2 / 12.0, 0.0)))
+        sources["noise_nT"] = FROM_DIFFERENCES
+    else:
+        sources.setdefault("noise_nT", DECLARED)
+    for name in ("attitude_sigma_rad", "attitude_tau_s"):
+        sources.setdefault(name, NOT_KNOWN if getattr(given, name) is None else DECLARED)
+    return Budget(noise, lsb, given.attitude_sigma_rad, given.attitude_tau_s, sources)
+
+
+def prior_of(budget: Budget) -> NoisePrior:
+    """The prior that a complete budget stands for."""
+    sources = budget.sources or {}
+    white = float(np.hypot(budget.noise_nT or 0.0, (budget.lsb_nT or 0.0) / np.sqrt(12.0)))
+    guessed = budget.noise_nT is None or sources.get("noise_nT") == FROM_DIFFERENCES
+    return NoisePrior(
+        sigma_nT=max(white, _LEAST_NOISE_nT),
+        sigma_log_sd=_WIDE_LOG_SD if guessed else NOISE_LOG_SD,
+        theta_rad=budget.attitude_sigma_rad,
+        tau_s=budget.attitude_tau_s,
+    )
+
+
+def reading_spacing(mag_B_nT: FloatArray) -> float | None:
+    """LSB of readings (N, 3): the step whose multiples they are; None where they are on no grid.
+
+    Readings written with few decimals are on a grid too, but one so fine that it does not matter. A few bit errors
+    stay on the grid.
+    """
+    spacings = [s for axis in np.asarray(mag_B_nT).T if (s := _axis_spacing(axis)) is not None]
+    return float(np.median(spacings)) if len(spacings) >= 2 else None
+
+
+def _axis_spacing(values: FloatArray) -> float | None:
+    distinct = np.unique(values[np.isfinite(values)])
+    if distinct.size < 4:
+        return None
+    gaps = np.diff(distinct)
+    span = float(distinct[-1] - distinct[0])
+    gaps = np.sort(gaps[gaps > 1e-9 * span])
+    if gaps.size < 3:
+        return None
+    step = float(np.median(gaps[gaps < 1.5 * gaps[0]]))
+    # Longer and longer lever arms: each refines the step enough to count over the next.
+    for reach in (4.5, 20.5, 100.5):
+        near = gaps[gaps < reach * step]
+        counts = np.rint(near / step)
+        step = float((near @ counts) / (counts @ counts))
+    off = np.abs(gaps / step - np.rint(gaps / step))
+    # On a random axis the fraction is spread over 0 to 0.5; on a grid it is the rounding of the file.
+    return step if float(np.mean(off < 0.05)) > 0.97 and float(np.mean(np.rint(gaps / step) > 0)) == 1.0 else None
+
+
+def short_difference_sigma(residual_nT: FloatArray, field_B_nT: FloatArray, segment: FloatArray) -> float:
+    """White noise per axis [nT] from second differences of neighbouring rows, robust against spikes.
+
+    The component along the field is used: an attitude error turns the field and cannot lengthen it.
+    """
+    along = np.einsum("ti,ti->t", residual_nT, field_B_nT) / np.maximum(np.linalg.norm(field_B_nT, axis=1), 1e-9)
+    if along.size < 3:
+        return float(np.std(residual_nT)) if residual_nT.size else _LEAST_NOISE_nT
+    same = (segment[2:] == segment[:-2]) & np.isfinite(along[2:] + along[:-2])
+    second = (along[2:] - 2.0 * along[1:-1] + along[:-2])[same if same.any() else slice(None)] / np.sqrt(6.0)
+    middle = MAD_TO_SIGMA * float(np.median(np.abs(second)))
+    if middle > 0:
+        return middle
+    return float(np.sqrt(np.mean(np.square(second)))) or _LEAST_NOISE_nT
+
+
+@dataclass(frozen=True, eq=False)
+class Data:
+    """What the likelihood is taken of; N rows."""
+
+    residual_nT: FloatArray
+    """(N, 3)."""
+    design: FloatArray
+    """(N, 3, P), any rank, any units."""
+    image_nT: FloatArray
+    """(N, 3, 3) of a turn, as from `row_axes.turn_images`."""
+    seconds: FloatArray
+    segment: FloatArray
+    weights: FloatArray
+    """(N, 3), 0 not measured."""
+    axes: RowAxes | None = None
+    """In which the rows are compared, if those are not the body axes; all of the above is in them already."""
+
+
+@dataclass(frozen=True, eq=False)
+class Choice:
+    """The best point, and the fit there."""
+
+    noise: NoiseModel
+    log_posterior: float
+    along: FloatArray
+    """(r,) generalised least-squares coordinates in the basis of the design."""
+
+
+class Likely(NamedTuple):
+    """A noise model that data and budget allow; sigma is the best beside its other two numbers."""
+
+    noise: NoiseModel
+    probability: float
+    cost: float
+    """Twice the log of the posterior density that it lacks to the best."""
+
+
+class Likelihood:
+    """The restricted likelihood of one set of data, as a function of the noise model."""
+
+    def __init__(
+        self,
+        data: Data,
+        prior: NoisePrior,
+        axis_factor: tuple[float, float, float] = (1.0, 1.0, 1.0),
+        walk: float = 0.0,
+    ) -> None:
+        """walk: rate of a bias that walks, over sigma [1/sqrt(s)]."""
+        self.data, self.prior, self.axis_factor, self.walk = data, prior, axis_factor, walk
+        there = data.weights > 0
+        flat = np.where(there[:, :, None], data.design, 0.0).reshape(there.size, -1)
+        # A column must have more of its energy beside others than the attitude error that it was made with.
+        self.span = span_of(flat, share_left=share_of_errors(prior.theta_rad, SHARE_PICKED))
+        basis = self.span.basis(flat)
+        y = np.where(there, data.residual_nT, 0.0).reshape(-1)
+        # What the design explains by plain least squares changes nothing but the coordinates.
+        self.plain = basis.T @ y
+        self.stacked = np.column_stack([basis, y - basis @ self.plain]).reshape(*there.shape, -1)
+        self.dof = int(there.sum()) - self.span.rank
+        size = np.sum(data.image_nT**2, axis=(1, 2))
+        self.field_nT = max(float(np.sqrt(0.5 * np.mean(size))) if size.size else 0.0, 1.0)
+
+    def point(self, noise: NoiseModel) -> tuple[float, float]:
+        """Ratio and time constant of a noise model, as for `at`."""
+        return noise.theta_rad * self.field_nT / noise.sigma_nT, noise.tau_s
+
+    def whitener(self, noise: NoiseModel, weights: FloatArray, *, covariance: bool = False) -> Whitener:
+        """The whitening of a noise model with other weights (N, 3), the walk in it."""
+        rows, walk = self.data, self.walk * noise.sigma_nT
+        geometry = (rows.image_nT, rows.seconds, rows.segment)
+        return make_whitener(*geometry, noise, weights, rows.axes, walk=walk, covariance=covariance)
+
+    def left_nT(self, choice: Choice) -> FloatArray:
+        """(N, 3) the residual less its generalised least-squares fit at a choice, also where nothing was measured."""
+        design = self.data.design
+        fit = design @ self.span.coefficients(self.plain + choice.along, design.shape[2])
+        return np.asarray(self.data.residual_nT - fit)
+
+    def at(self, ratio: float, tau_s: float) -> Choice:
+        """The best sigma at a ratio (theta times field over sigma) and a time constant."""
+        data, rank = self.data, self.span.rank
+        unit = NoiseModel(1.0, ratio / self.field_nT, tau_s, axis_factor=self.axis_factor)
+        whitener = self.whitener(unit, data.weights)
+        white = whitener.apply_in_row_axes(self.stacked, turned=False).reshape(-1, rank + 1)
+        gram = white.T @ white
+        try:
+            L = np.linalg.cholesky(gram[:rank, :rank])
+        except np.linalg.LinAlgError:  # an attitude error so large that nothing is left of some column
+            return Choice(unit, _NOTHING, np.zeros(rank))
+        half = solve_triangular(L, gram[:rank, rank], lower=True, check_finite=False)
+        along = solve_triangular(L, half, lower=True, trans=1, check_finite=False)
+        rss = max(float(gram[rank, rank] - half @ half), 1e-12 * float(gram[rank, rank]), 1e-30)
+        log_sigma = self._best_sigma(rss, ratio)
+        sigma = float(np.exp(log_sigma))
+        log_det = whitener.log_det + 2.0 * float(np.log(np.diag(L)).sum())
+        fit = -0.5 * (log_det + 2.0 * self.dof * log_sigma + rss / sigma**2)
+        noise = NoiseModel(sigma, ratio * sigma / self.field_nT, tau_s, axis_factor=self.axis_factor)
+        return Choice(noise, fit + self.prior.log_density(sigma, noise.theta_rad, tau_s), along)
+
+    def _best_sigma(self, rss: float, ratio: float) -> float:
+        """log sigma s that maximises the posterior at fixed ratio: the root of rss exp(-2 s) = dof + sum of p (s - s0)
+        over the priors, of weight p about s0."""
+        prior = self.prior
+        weight, pull = prior.sigma_log_sd**-2, prior.sigma_log_sd**-2 * np.log(prior.sigma_nT)
+        if ratio > 0 and prior.theta_rad:
+            weight += prior.theta_log_sd**-2
+            pull += prior.theta_log_sd**-2 * np.log(prior.theta_rad * self.field_nT / ratio)
+        shift = (self.dof - pull) / weight
+        return float(0.5 * wrightomega(np.log(2.0 * rss / weight) + 2.0 * shift) - shift)
+
+
+def best_noise(likelihood: Likelihood, start: NoiseModel | None = None) -> Choice:
+    """The best point: with a memory, white, or without attitude error, as the budget allows; from `start`, if given."""
+    prior = likelihood.prior
+    if prior.theta_rad == 0.0:
+        return _with_uncertainty(likelihood, likelihood.at(0.0, 0.0), np.zeros((0, 0)))
+    ratio, tau_s = 1.0, prior.tau_s
+    if prior.theta_rad is not None:
+        ratio = prior.theta_rad * likelihood.field_nT / prior.sigma_nT
+    if start is not None and start.theta_rad > 0:
+        ratio, tau_s = likelihood.point(start)
+    elif tau_s is None:
+        tries = [likelihood.at(ratio, by * USUAL_TAU_S) for by in (0.25, 1.0, 4.0)]
+        tau_s = max(tries, key=lambda one: one.log_posterior).noise.tau_s
+    best, hessian = _climbed(likelihood, ratio, tau_s)
+    if prior.tau_s is None and tau_s > 0:
+        guess = likelihood.point(best.noise)[0]
+        if likelihood.at(guess, 0.0).log_posterior > best.log_posterior - _HOPELESS:
+            white = _climbed(likelihood, guess, 0.0)
+            best, hessian = max((best, hessian), white, key=lambda one: one[0].log_posterior)
+    if prior.theta_rad is None:
+        best = max(best, likelihood.at(0.0, 0.0), key=lambda one: one.log_posterior)
+    return _with_uncertainty(likelihood, best, hessian)
+
+
+def noises_about(likelihood: Likelihood, chosen: NoiseModel) -> list[Likely]:
+    """Noise models all over what data and budget allow: a lattice about each mode (with a memory, white, without attitude
+    error, as the budget allows). Near `chosen` the search for the modes begins."""
+    prior = likelihood.prior
+    if chosen.theta_rad <= 0:
+        return [Likely(chosen, 1.0, 0.0)]
+    ratio, tau_s = likelihood.point(chosen)
+    memories = [tau_s] if prior.tau_s is not None else [tau_s or USUAL_TAU_S, 0.0]
+    modes = [_about(likelihood, *_climbed(likelihood, ratio, memory)) for memory in memories]
+    if prior.theta_rad is None:
+        modes.append([likelihood.at(0.0, 0.0)])
+    heights = [np.array([one.log_posterior for one in mode]) for mode in modes]
+    peaks = np.array([each.max() for each in heights])
+    found = []
+    for mode, height, share in zip(modes, heights, softmax(peaks), strict=True):
+        for one, within in zip(mode, softmax(height), strict=True):
+            cost = 2.0 * float(peaks.max() - one.log_posterior)
+            found.append(Likely(one.noise, float(share * within), cost))
+    return found
+
+
+def _about(likelihood: Likelihood, best: Choice, hessian: FloatArray) -> list[Choice]:
+    """A mode and a lattice about it, in standard deviations along the principal axes."""
+    ratio, tau_s = likelihood.point(best.noise)
+    free = len(hessian)
+    place, (low, high) = np.log([ratio, tau_s or 1.0])[:free], _range(likelihood, free)
+    value, vector = np.linalg.eigh(-hessian)
+    axes = vector / np.sqrt(np.maximum(value, _WIDE**-2))
+    steps = np.stack(np.meshgrid(*[_LATTICE] * free), axis=-1).reshape(-1, free)
+    reach = np.linalg.norm(steps, axis=1)
+    inside = steps[(reach > 0.0) & (reach <= _LATTICE[-1])]
+    points = np.exp(np.unique(np.clip(place + inside @ axes.T, low, high), axis=0))
+    return [best, *(likelihood.at(float(at[0]), float(at[1]) if free == 2 else 0.0) for at in points)]
+
+
+def _range(likelihood: Likelihood, free: int) -> tuple[FloatArray, FloatArray]:
+    """Lowest and highest logarithm of the ratio, or of ratio and time constant."""
+    seconds = likelihood.data.seconds
+    spacing = float(np.median(np.diff(seconds))) if seconds.size > 1 else 1.0
+    low, high = (np.log([at, tau])[:free] for at, tau in zip(_RATIOS, (0.25 * spacing, _LONGEST_S), strict=True))
+    return low, high
+
+
+def _climbed(likelihood: Likelihood, ratio: float, tau_s: float) -> tuple[Choice, FloatArray]:
+    """The highest point near a start, by Newton's method on differences in the logarithms of ratio and time constant (one
+    of 0 stays), and the second derivatives by them (1 or 2 of each)."""
+    free = 2 if tau_s else 1
+    low, high = _range(likelihood, free)
+
+    def at(place: FloatArray) -> Choice:
+        return likelihood.at(float(np.exp(place[0])), float(np.exp(place[1])) if tau_s else 0.0)
+
+    def heights(places: FloatArray) -> FloatArray:
+        return np.array([at(place).log_posterior for place in places])
+
+    place = np.clip(np.log([ratio, tau_s][:free]), low, high)
+    best, by = at(place), _NARROW * np.eye(free)
+    while True:
+        here, up, down = best.log_posterior, heights(place + by), heights(place - by)
+        slope, bends = (up - down) / (2.0 * _NARROW), (up + down - 2.0 * here) / _NARROW**2
+        hessian = np.diag(bends)
+        if free == 2:
+            twist = at(place + _NARROW).log_posterior - up.sum() + here
+            hessian = hessian + twist / _NARROW**2 * (1.0 - np.eye(2))
+        value, vector = np.linalg.eigh(-hessian)
+        along = vector.T @ slope
+        # Newton's step, no longer than wide, and uphill where the surface is hollow.
+        move = vector @ (along / np.maximum(value, np.maximum(np.abs(along) / _WIDE, 1e-12)))
+        while slope @ move > 2.0 * _CLOSE:
+            further = np.clip(place + move, low, high)
+            found = at(further)
+            if found.log_posterior > here + _CLOSE:
+                break
+            move = 0.5 * move
+        else:
+            return best, hessian
+        best, place = found, further
+
+
+def _with_uncertainty(likelihood: Likelihood, best: Choice, hessian: FloatArray) -> Choice:
+    """hessian: by the logarithms of ratio and time constant, as many as are free."""
+    prior = likelihood.prior
+    sigma_sd = float(1.0 / np.sqrt(2.0 * max(likelihood.dof, 0) + prior.sigma_log_sd**-2))
+    bends = np.append(np.diag(hessian), [0.0, 0.0])[:2]
+    theta_sd, tau_sd = (float(1.0 / np.sqrt(-bend)) if bend < 0 else np.inf for bend in bends)
+    noise = replace(
+        best.noise,
+        sigma_log_sd=sigma_sd,
+        theta_log_sd=float(np.hypot(theta_sd, sigma_sd)),
+        tau_log_sd=tau_sd,
+        sigma_prior_nT=prior.sigma_nT,
+    )
+    return replace(best, noise=replace(noise, words=noise_words(noise)))
+
+
+def noise_words(noise: NoiseModel) -> str:
+    """The model in words."""
+    white = f"white noise {noise.sigma_nT:.3g} nT per axis"
+    if noise.axis_factor != (1.0, 1.0, 1.0):
+        white = "white noise " + ", ".join(f"{v:.3g}" for v in noise.white_nT) + " nT in x, y, z"
+    if noise.theta_rad <= 0:
+        return f"{white}, no attitude error"
+    memory = "white" if noise.tau_s <= 0 else f"over {noise.tau_s:.3g} s"
+    return f"{white}, attitude error {np.degrees(noise.theta_rad):.2g} deg per axis, {memory}"
 
 
 class NoiseChoice(NamedTuple):
@@ -77,7 +468,7 @@ def likely_noises(
     weights = whitener.weights * np.square(noise.axis_factor)
     design = _affordable([problem.in_row_axes(columns)], int((weights > 0).sum()))
     data = Data(problem.in_row_axes(residual_nT), design, *where, weights, problem.axes)
-    return _likely_noises(Likelihood(data, prior, noise.axis_factor, walk), noise)
+    return noises_about(Likelihood(data, prior, noise.axis_factor, walk), noise)
 
 
 def whitener_of(problem: Problem, noise: NoiseModel, weights: FloatArray | None) -> Whitener:

@@ -16,16 +16,15 @@ from functools import cached_property
 import numpy as np
 from scipy.stats import chi2, norm
 
-from fluxtwin.gap.hypotheses.blocks import Carrier
+from fluxtwin.gap.hypotheses.blocks import Carrier, always, conditions
 from fluxtwin.gap.hypotheses.candidates import Candidate, candidate_of, candidates
-from fluxtwin.gap.hypotheses.conditions import always, conditions
 from fluxtwin.gap.linear.projection import least_share, orthonormal, projected
 from fluxtwin.gap.noise.choice import NoiseModel, whitener_of
 from fluxtwin.gap.noise.whitening import Whitener
 from fluxtwin.gap.problem.problem import Problem
-from fluxtwin.gap.selection.criterion import IN_GROUP, SHAPE, TWENTY_TO_ONE, penalty, samples_of, stands_out
+from fluxtwin.gap.selection.criterion import IN_GROUP, SHAPE, TWENTY_TO_ONE, penalty, samples_of, stands_out, weight_of
 from fluxtwin.gap.selection.detectable import smallest
-from fluxtwin.gap.selection.refit import Readings, refit
+from fluxtwin.gap.selection.refit import Readings, limits, refit
 from fluxtwin.gap.selection.score import Board, board, whitened
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.base import GOES_ON, SignalEffect
@@ -165,7 +164,7 @@ class Flown:
         number = int(np.argmax(likely))
         normal = np.random.default_rng(_SEED).standard_normal((_PLAUSIBLE, scale.size))
         drawn = along * (1.0 - 1.0 / spread[number]) + sizes[number] / np.sqrt(spread[number]) * normal
-        low, high = (np.array([getattr(p, end) for p in cause.effect.parameters]) for end in ("low", "high"))
+        low, high = limits([(cause.effect, cause.theta)])
         first, *also = np.clip(drawn @ vectors.T * scale, low, high)
         return Cause(cause.effect, first, tuple(also))
 
@@ -268,13 +267,6 @@ def _secant(columns: FloatArray, theta: FloatArray, made: FloatArray) -> FloatAr
     return bent
 
 
-def _drops(scored: Board, score: FloatArray) -> FloatArray:
-    """(K, D) drop of chi-square by each candidate, of scores (R, D)."""
-    drop = np.zeros((len(scored.candidates), score.shape[1]))
-    np.add.at(drop, scored.block.astype(int), score**2)
-    return drop
-
-
 def probability_of(name: str, others: Collection[str], scored: Board) -> float:
     """That the rules of the search name it, with none of the others in its group, where the residual is its signal."""
     names = [candidate.name for candidate in scored.candidates]
@@ -284,7 +276,8 @@ def probability_of(name: str, others: Collection[str], scored: Board) -> float:
     noise = np.random.default_rng(_SEED).standard_normal((values.size, _DRAWS))
     score = scored.score[:, None] + (vectors * np.sqrt(np.maximum(values, 0.0))) @ noise
     rank = scored.rank[:, None].astype(float)
-    drop = _drops(scored, score)
+    drop = np.zeros((len(names), _DRAWS))
+    np.add.at(drop, scored.block.astype(int), score**2)
     samples, tested = samples_of(scored.measured), max(int((scored.rank > 0).sum()), 1)
     price = penalty(rank, drop, samples)
     cost = np.where(rank > 0, price - drop, np.inf)
@@ -293,7 +286,7 @@ def probability_of(name: str, others: Collection[str], scored: Board) -> float:
     p_value = tested * chi2.sf(drop, np.maximum(rank, 1.0)).min(axis=0, where=rank > 0, initial=1.0)
     seen = stands_out(p_value, -least - 2.0 * np.log(tested))
     worse = (own - drop) / (1.0 + SHAPE * own) + price - price[best, draw]
-    weight = np.where(rank > 0, np.exp(-0.5 * np.clip(worse, -100.0, 1400.0)), 0.0)
+    weight = np.where(rank > 0, weight_of(worse), 0.0)
     mine = np.array([one == name for one in names])
     total = weight.sum(axis=0)
     beside = np.zeros(_DRAWS)

@@ -17,10 +17,9 @@ from scipy.special import softmax
 
 from fluxtwin.gap.detectors.finding import Finding
 from fluxtwin.gap.detectors.residual_structure import Structure, judge
+from fluxtwin.gap.hypotheses.blocks import Dictionary
 from fluxtwin.gap.hypotheses.candidates import Candidate
-from fluxtwin.gap.hypotheses.evidence import Dictionary
 from fluxtwin.gap.linear.projection import projected, projected_white
-from fluxtwin.gap.noise.budget import prior_of
 from fluxtwin.gap.noise.choice import (
     NoiseModel,
     RobustRows,
@@ -28,15 +27,15 @@ from fluxtwin.gap.noise.choice import (
     choose_noise,
     complete_budget,
     noise_beside,
+    prior_of,
     whitener_of,
 )
 from fluxtwin.gap.problem.problem import Problem
 from fluxtwin.gap.selection.criterion import LOG_FURTHER, SHAPE, THRESHOLD, penalty, worth_of_shape
 from fluxtwin.gap.selection.forward import Search, begin, run, without
-from fluxtwin.gap.selection.named import SearchResult
 from fluxtwin.gap.selection.refit import Fit, Readings
 from fluxtwin.gap.selection.score import Board
-from fluxtwin.gap.selection.search import by_gain, result_of
+from fluxtwin.gap.selection.search import SearchResult, by_gain, result_of
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.base import SignalEffect
 from fluxtwin.sim.effects.chain import Active

@@ -15,17 +15,22 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import expit
 
-from fluxtwin.gap.detectors import proposals
 from fluxtwin.gap.detectors.finding import Finding
-from fluxtwin.gap.detectors.full_rate import FullRate
-from fluxtwin.gap.detectors.lines import independent_frequencies, line_near, wheel_line
+from fluxtwin.gap.detectors.lines import (
+    FullRate,
+    companion,
+    independent_frequencies,
+    line_near,
+    strongest_line,
+    wheel_line,
+)
 from fluxtwin.gap.detectors.random_walk import random_walk
 from fluxtwin.gap.detectors.residual_structure import Structure, residual_structure
-from fluxtwin.gap.hypotheses.evidence import Dictionary
+from fluxtwin.gap.detectors.switched import heater_sequence, switched_region
+from fluxtwin.gap.hypotheses.blocks import Dictionary
 from fluxtwin.gap.linear.projection import projected
 from fluxtwin.gap.noise.choice import NoiseModel, Whitener, choose_noise, whitener_of
-from fluxtwin.gap.noise.walk import gain, likeliest_rate
-from fluxtwin.gap.noise.whitening import with_walk
+from fluxtwin.gap.noise.whitening import gain, likeliest_rate, with_walk
 from fluxtwin.gap.posterior.explanations import (
     Answer,
     Known,
@@ -39,6 +44,7 @@ from fluxtwin.gap.problem.problem import Problem
 from fluxtwin.gap.selection.criterion import IN_GROUP, LOG_FURTHER, SHAPE, THRESHOLD, samples_of, worth
 from fluxtwin.gap.selection.forward import LARGEST
 from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.effects.chain import Active
 
 _ROUNDS = 3
 _SETTLED = 0.2  # in the logarithm of the rate
@@ -102,8 +108,28 @@ class Structured:
         if bare:
             residual, fitted = result.residual_alone_nT, without_names(self.problem, answer)
             left = residual_structure(self.problem, whitener, residual, fitted, self.dictionary)
-        chosen = [] if bare else [effect for effect, _ in result.chosen]
-        return proposals.structured(self.problem, whitener, residual, fitted, left, self.dictionary, chosen)
+        proposed = self._proposed(whitener, residual, fitted, left, () if bare else result.chosen)
+        return next((one for one in proposed if one is not None and one.confirmed), None)
+
+    def _proposed(
+        self,
+        whitener: Whitener,
+        residual_nT: FloatArray,
+        fitted_nT: FloatArray,
+        left: Structure,
+        chosen: Sequence[Active],
+    ) -> Iterator[Finding | None]:
+        """A line, a region in the dark and a thermostat whose waveform a residual (N, 3) has, in the order in which they
+        explain each other away. chosen: named effects; a companion of a named wheel's line is that wheel once more."""
+        setting, rest = self.problem.setting, projected(whitener, residual_nT, fitted_nT)
+        line, fits = strongest_line(setting.seconds, rest), self.dictionary.fits(rest)
+        if left.kind == "tone" and not any(companion(setting, rest, line, one) for one, _ in chosen):
+            yield wheel_line(setting, rest, line, fits)
+        yield switched_region(self.problem, rest, fits)
+        if setting.column("heater_on") is None:
+            white = whitener.apply(np.ascontiguousarray(fitted_nT)).reshape(rest.residual.size, -1)
+            size = np.linalg.lstsq(white, whitener.apply(residual_nT).reshape(-1), rcond=1e-10)[0]
+            yield heater_sequence(setting, rest, residual_nT - fitted_nT @ size, fits, line)
 
     def given(self, shapes: Sequence[Finding]) -> Answer:
         """Effects sought afresh given these shapes."""
@@ -211,10 +237,8 @@ class Structured:
             setting = self.problem.setting
             longer = wheel_line(setting, left, line_near(setting.seconds, left, fast.line.frequency_Hz))
             return self.given([*answer.shapes, longer if longer is not None and longer.confirmed else wheel])
-        if (
-            answer.left.structured and answer.left.kind != "tone"
-        ):  # a slower line may be this one, seen in some rows only
-            return answer
+        if answer.left.structured and answer.left.kind != "tone":
+            return answer  # but a slower line may be this one, seen in some rows only
         words = f"a line at a period of {1 / fast.line.frequency_Hz:.3g} s, in the full rate"
         tried = float(np.log(independent_frequencies(fast.problem.setting.seconds)))
         found = Structure(fast.line.worth, fast.line.explained, "tone", words, rank=6, log_tried=tried)

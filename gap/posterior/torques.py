@@ -8,13 +8,11 @@ from functools import partial
 
 import numpy as np
 
-from fluxtwin.gap.channels.momentum import MomentumChannel, ahead_km, momentum_channel, ruled_out
+from fluxtwin.gap.channels.momentum import DYNAMICS, MomentumChannel, ahead_km, momentum_channel, orbit_of, ruled_out
 from fluxtwin.gap.channels.momentum_arcs import Craft, Windows, arcs, windows
-from fluxtwin.gap.channels.momentum_images import DYNAMICS, orbit_of
 from fluxtwin.gap.detectors.residual_structure import Structure
 from fluxtwin.gap.held_out.held_out import BLOCKS, Prediction
-from fluxtwin.gap.hypotheses.blocks import Block
-from fluxtwin.gap.hypotheses.evidence import fit
+from fluxtwin.gap.hypotheses.blocks import Block, fit
 from fluxtwin.gap.linear.projection import projected
 from fluxtwin.gap.noise.whitening import Whitener
 from fluxtwin.gap.posterior.explanations import ROUNDS, likeliest, weighed
@@ -23,16 +21,14 @@ from fluxtwin.gap.records.diagnosis import Detectable, FoundEffect, MomentumGap,
 from fluxtwin.gap.selection.criterion import THRESHOLD, still_known, worth
 from fluxtwin.gap.selection.detectable import smallest
 from fluxtwin.gap.selection.forward import Search, begin, run
-from fluxtwin.gap.selection.named import SearchResult, axis_of, found_effect
 from fluxtwin.gap.selection.refit import Fit, covariance_of, moving
-from fluxtwin.gap.selection.search import ranking, support
+from fluxtwin.gap.selection.search import SearchResult, axis_of, found_effect, ranking, support
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.chain import Active
 from fluxtwin.sim.spacecraft.dynamics.vehicle import Vehicle
 
 _SURE_RAD = np.radians(5.0)
 """A standing error of the attitude that is known no better is not stated."""
-_NO_SCENARIO = 'no scenario with attitude mode "dynamics" says what the body is and which torques turn it'
 _NAMES = {effect.name for effect in DYNAMICS}
 _NOTHING = Structure(0.0, 0.0, "none", "")
 
@@ -86,7 +82,7 @@ def balanced(
     fitted_nT: (N, 3, c) Jacobian of what that channel fits: what is modelled, its named effects, and others after them.
     """
     if craft is None:
-        return absent(_NO_SCENARIO)
+        return absent('no scenario with attitude mode "dynamics" says what the body is and which torques turn it')
     flown = arcs(problem, craft, orbit_of(problem, [*problem.frozen, *result.modelled, *result.chosen]))
     cut = flown if isinstance(flown, str) else windows(flown)
     if isinstance(cut, str):
@@ -116,7 +112,7 @@ def _about_the_motion(
         before = [one.name for one in found.named]
         moved = Windows(cut.arcs.of(vehicle), cut.windows).followed().followed()
         momentum_N = moved.arcs.momentum_of(cut.arcs.craft.vehicle)
-        again = Windows(cut.arcs.along(moved.arcs.track, momentum_N), cut.windows)
+        again = Windows(cut.arcs.but(track=moved.arcs.track, momentum_N=momentum_N), cut.windows)
         found, vehicle = _searched(problem, again, whitener, result, fitted_nT)
         if [one.name for one in found.named] == before:
             break

@@ -5,7 +5,8 @@ direction of the field in body axes is known from the reading itself, so the cha
 attitude, seen along the field, are those of the field's size (for bias, scale and non-orthogonality: Alonso &
 Shuster 2002, J. Astronautical Sciences 50, 477). What an error of attitude could do is turned out of such rows: they
 are compared in axes of their own, of which only those count that no turn of the body reaches. With a nadir vector the
-pseudo attitude has nadir exactly and the field in the measured plane, so only a turn about nadir stays unknown.
+pseudo attitude has nadir exactly and the field in the measured plane, so only a turn about nadir stays unknown. Where no
+row has an attitude, a calibration of |B| says where to start.
 """
 
 from __future__ import annotations
@@ -16,12 +17,23 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from fluxtwin.calib.scalar.calibrate import calibrate_scalar
+from fluxtwin.sim.base.errors import NoAnswer
 from fluxtwin.sim.base.types import BoolArray, FloatArray
+from fluxtwin.sim.earth.field import field_N_nT
+from fluxtwin.sim.earth.field_models import FieldModel
+from fluxtwin.sim.earth.references import triad
 from fluxtwin.sim.spacecraft.sensors.magnetometer import Magnetometer
+from fluxtwin.sim.telemetry.record import Telemetry
 
 _LEAST_SINE = 0.17
 """Of the angle between nadir and field: nearer than ten degrees the plane of the two is lost in noise."""
 _FEWEST = 20  # rows with nadir, in a row or beside an attitude: fewer do not show how its error goes on
+_NEAR = 0.1
+"""Of the field: a raw magnetometer that is right to this is where Gauss-Newton may start."""
+_OPEN = 0.02
+"""Of the field. A bias that is open by this much moves |B| by half its square over |B|, some 8 nT in 40,000, whatever the
+linear fit makes of it: about the least noise of a magnetometer in orbit."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,10 +181,10 @@ def with_nadir_exact(
     """R_BN with the rows (N,) replaced by the attitude that has nadir exactly and the field in its plane (TRIAD)."""
     if not rows.any():
         return R_BN
-    body, inertial = (_triad(n[rows], b[rows]) for n, b in ((nadir_B, field_B_nT), (nadir_N, field_N_nT)))
-    matrices = np.array(R_BN.as_matrix())
-    matrices[rows] = body @ np.swapaxes(inertial, 1, 2)
-    return Rotation.from_matrix(matrices)
+    quaternions = np.array(R_BN.as_quat())
+    R_BN = triad(nadir_B[rows], field_B_nT[rows]).inv() * triad(nadir_N[rows], field_N_nT[rows])
+    quaternions[rows] = R_BN.as_quat()
+    return Rotation.from_quat(quaternions)
 
 
 def row_axes(
@@ -266,13 +278,6 @@ def _unit(vectors: FloatArray) -> FloatArray:
     return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=1), 1e-300)[:, None])
 
 
-def _triad(first: FloatArray, second: FloatArray) -> FloatArray:
-    """(n, 3, 3) columns: the first direction, the second's part across it, and their normal."""
-    one = _unit(first)
-    two = _unit(_across(second, one))
-    return np.stack([one, two, np.cross(one, two)], axis=2)
-
-
 def turn_images(field_B_nT: FloatArray, matrix: FloatArray | None = None) -> FloatArray:
     """(N, 3, 3) J with J theta = M (theta x B): what a turn theta [rad] does to a reading. field_B_nT: (N, 3).
 
@@ -280,3 +285,32 @@ def turn_images(field_B_nT: FloatArray, matrix: FloatArray | None = None) -> Flo
     """
     images = np.cross(np.eye(3)[None, :, :], np.asarray(field_B_nT, dtype=np.float64)[:, None, :]).swapaxes(1, 2)
     return np.ascontiguousarray(images if matrix is None else matrix @ images)
+
+
+def start_without_attitude(telemetry: Telemetry, model: FieldModel) -> Magnetometer | None:
+    """The magnetometer as the record itself calibrates it; None where the readings are near the field as they are.
+
+    Everything in a diagnosis is linear about its start, and a raw magnetometer may be off by more than the field. Raises
+    NoAnswer, naming what is open, where such a record does not determine b and S: nothing could be concluded from them then.
+    """
+    usable = telemetry.select(telemetry.has_reading & telemetry.has_position)
+    if not len(usable):
+        return None
+    assert usable.r_N_km is not None
+    size_nT = np.linalg.norm(field_N_nT(model, usable.time, np.asarray(usable.r_N_km)), axis=1)
+    off_nT = np.linalg.norm(usable.mag_B_nT, axis=1) - size_nT
+    if np.median(np.abs(off_nT)) < _NEAR * np.median(size_nT):
+        return None
+    known = calibrate_scalar(telemetry, model).calibration
+    sigmas = dict(zip(known.names, known.sigmas, strict=True))
+    usual_nT = float(np.median(size_nT))
+    relative = {name: sigma / usual_nT if name.startswith("b") else sigma for name, sigma in sigmas.items()}
+    worst = [name for name in sorted(relative, key=lambda name: -relative[name]) if relative[name] > _OPEN]
+    if worst:
+        words = [f"{name} by {sigmas[name]:.2g}{' nT' if name.startswith('b') else ''}" for name in worst[:3]]
+        raise NoAnswer(
+            f"no row has a reference attitude, and |B| alone leaves {' and '.join(words)} open (1 sigma): no effect can be "
+            "distinguished from the calibration. A record with attitude, or with turns about a second axis, would allow it",
+            evidence={"sigma": {name: float(sigmas[name]) for name in worst}},
+        )
+    return Magnetometer(known.S, known.b_nT)

@@ -1,13 +1,14 @@
 """The diagnosis as a record: where the gap lies, which effect causes it, how far it shrinks.
 
 Every class is described once, here: its fields are the keys of the JSON, their types and bounds the schema
-(`gap.records.schema`), and the text below a field is its description. Fields marked `Kept` stay in the program.
+(`diagnosis_schema`), and the text below a field is its description. Fields marked `Kept` stay in the program.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
@@ -466,3 +467,10 @@ class Diagnosis(Record, Shown):
         plain["provenance"]["notes"] = list(self.notes)
         absent = {name for name in ("momentum", "law") if getattr(self, name) is None}
         return {key: value for key, value in plain.items() if key not in absent}
+
+
+@cache
+def diagnosis_schema() -> dict[str, Any]:
+    """The schema (draft 2020-12) that every answer of `fluxtwin diagnose --json` keeps."""
+    schema = TypeAdapter(Diagnosis).json_schema(mode="serialization")
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}

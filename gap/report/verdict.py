@@ -1,7 +1,7 @@
 """From the posterior to the record: what is named, whether it is the whole gap, where it lies, how far it closes.
 
 `assemble` is a function of what was found and of nothing else; it reads from top to bottom, and nothing is changed in the
-record after it.
+record after it. Where nothing is named, the residual must be what the budget gives, in its size and in its outliers.
 """
 
 from __future__ import annotations
@@ -11,31 +11,38 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
-from fluxtwin.gap.channels.two_magnetometers import OWN_STAGES, Apart
+import numpy as np
+from scipy.stats import norm, poisson
+
+from fluxtwin.gap.channels.sun_nadir import SunNadir
+from fluxtwin.gap.channels.two_magnetometers import Apart
 from fluxtwin.gap.detectors.finding import Finding
-from fluxtwin.gap.detectors.proposals import expected
 from fluxtwin.gap.detectors.residual_structure import Structure
-from fluxtwin.gap.held_out.held_out import Prediction
+from fluxtwin.gap.held_out.held_out import Prediction, floor_rms_nT
+from fluxtwin.gap.hypotheses.blocks import OWN_STAGES
 from fluxtwin.gap.hypotheses.candidates import OF_ERRORS
-from fluxtwin.gap.noise.choice import RobustRows
-from fluxtwin.gap.posterior.explanations import Answer
+from fluxtwin.gap.noise.choice import DECLARED, NoiseModel, RobustRows, complete_budget, prior_of
+from fluxtwin.gap.noise.robust_rows import CUT_SIGMA
+from fluxtwin.gap.posterior.explanations import Answer, signals_of
 from fluxtwin.gap.posterior.stated import as_stated, likelier_unknown
 from fluxtwin.gap.posterior.torques import Momentum
-from fluxtwin.gap.problem.problem import Problem
+from fluxtwin.gap.problem.problem import Budget, Problem
 from fluxtwin.gap.records.diagnosis import Closure, Detectable, Diagnosis, FoundEffect, Place, Shrinkage
-from fluxtwin.gap.report import advice, level, words
-from fluxtwin.gap.report.level import Excess
-from fluxtwin.gap.report.second_channel import Angle
-from fluxtwin.gap.selection.criterion import GATE, still_known
+from fluxtwin.gap.report import words
+from fluxtwin.gap.selection.criterion import GATE, SHAPE_ERROR, still_known
 from fluxtwin.gap.selection.forward import LARGEST
-from fluxtwin.gap.selection.named import Support, found_effect
-from fluxtwin.sim.effects.base import SignalEffect
+from fluxtwin.gap.selection.search import Support, found_effect
+from fluxtwin.sim.effects.base import DistributionEffect, SignalEffect
 from fluxtwin.sim.effects.catalogue import find_effect
+from fluxtwin.sim.effects.chain import Active
 from fluxtwin.sim.effects.signal import Setting
 
 _AT_STAGE = 0.9
 """Probability of the stage where its error is beyond the declared one: a judgement, a residual may be large by a cause
 elsewhere."""
+_AS_LARGE = 0.25
+_LEAST_SPREAD = 0.05
+"""Standard deviation of the logarithm of the rms, however many rows: structure that nobody looks for is in any record."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +65,7 @@ class Work:
     """The balance of the momentum."""
     attitude_would_do_rad: float | None
     """Size of an attitude error, 1 sigma per axis, that makes all the structure of the residual; None where none does."""
-    angle: Angle | None = None
+    angle: SunNadir | None = None
     """The angle between sun and nadir; None where it is not measured."""
     apart: Apart | None = None
     """The difference of two magnetometers; None where there is one."""
@@ -123,7 +130,7 @@ def assemble(
     without_attitude: int,
     notes: Sequence[str] = (),
 ) -> Diagnosis:
-    """The diagnosis of a finished investigation. assumed: as from `level.assumed`."""
+    """The diagnosis of a finished investigation. assumed: as from `assumed`."""
     problem, answer, momentum = work.problem, work.answer, work.momentum
     result, cut = answer.result, answer.robust.rows_cut
     found = _conclude(work)
@@ -132,7 +139,7 @@ def assemble(
     where = _where(work, found.effects or alone) if found.beyond is None else _at(work, found.beyond.stage)
     in_readings = bool(found.effects) and bool(result.named or work.flexible)
     prediction = work.prediction.without_known_noise(bool(found.effects)) if found.already else work.prediction
-    gap = prediction.shrinkage(in_readings, found.incomplete, level.residual_rms_nT(problem, answer))
+    gap = prediction.shrinkage(in_readings, found.incomplete, residual_rms_nT(problem, answer))
     resembles = _resembles(work) if found.verdict == "unknown" else []
     sentence = _sentence(work, found, where, gap, resembles)
     missing = {**result.untestable, **momentum.untestable}
@@ -151,7 +158,7 @@ def assemble(
         minimum_detectable=detectable,
         samples={"used": problem.rows - cut, "cut": cut, "without_attitude": without_attitude},
         provenance={**provenance, "posterior": [list(pair) for pair in found.posterior]},
-        would_settle=advice.would_settle(detectable, _asked_for(untestable, work), advice.hours_of(problem.time)),
+        would_settle=words.would_settle(detectable, _asked_for(untestable, work), words.hours_of(problem.time)),
         sentence=" ".join(filter(None, (sentence, words.assumed(assumed)))),
         assumed=assumed,
         notes=notes,
@@ -185,11 +192,11 @@ def _conclude(work: Work) -> _Conclusion:
     excess = None
     stays = any(one.name != "bit_errors" for one in work.flexible)  # a named noise, walk or line stays in the residual
     if not unexplained and not stays:
-        excess = level.beyond_budget(problem, answer)
+        excess = beyond_budget(problem, answer)
     if not unexplained and excess is None and work.loud is not None:
         excess = Excess("sensor", work.loud)
     bits = any(one.name == "bit_errors" for one in work.flexible)
-    outliers = None if bits else level.outliers(*work.every_row)
+    outliers = None if bits else too_many_outliers(*work.every_row)
     if work.stuck is not None:
         outliers = Excess("telemetry", "; ".join([work.stuck, *([] if outliers is None else [outliers.words])]))
     beyond = None if unexplained or effects else excess or outliers
@@ -237,6 +244,8 @@ def _closure(work: Work, found: _Conclusion) -> Closure:
     """What is named, what was re-estimated together with it, and what might be in its place."""
     result = work.answer.result
     incomplete = f"the explanation is incomplete: {words.SHAPE_INCOMPLETE}" if found.incomplete else None
+    if found.verdict == "unknown":
+        incomplete = "the catalogue does not explain all of the gap"
     return Closure(
         problem=work.problem,
         whitener=work.answer.whitener,
@@ -246,7 +255,7 @@ def _closure(work: Work, found: _Conclusion) -> Closure:
         stochastic=(*found.shapes, *work.momentum.standing),
         variance=result.variance,
         tested=result.tested,
-        incomplete=words.UNEXPLAINED if found.verdict == "unknown" else incomplete,
+        incomplete=incomplete,
     )
 
 
@@ -336,3 +345,104 @@ def blended(shares: Mapping[str, float], name: str, probability: float) -> dict[
     found = {key: (1.0 - probability) * value for key, value in shares.items()}
     found[name] = found.get(name, 0.0) + probability
     return found
+
+
+@dataclass(frozen=True)
+class Excess:
+    """More than the budget gives."""
+
+    stage: str
+    words: str
+
+
+def residual_rms_nT(problem: Problem, answer: Answer) -> float:
+    """rms per component of the residual of the fit, over the readings that are not cut [nT]."""
+    rest = problem.in_row_axes(answer.result.residual_nT)[problem.measured & ~answer.robust.cut]
+    return float(np.sqrt(np.mean(rest**2))) if rest.size else 0.0
+
+
+def shape_nT(problem: Problem, answer: Answer) -> float | None:
+    """What named causes may leave because nature's form is not theirs, rms per component [nT]; None where what is left is
+    something unknown."""
+    result = answer.result
+    if answer.left.structured and (not result.named or answer.known < 0.5):
+        return None
+    if not answer.left.structured and not answer.shapes:
+        return 0.0
+    rest_nT = problem.residual_of([*result.modelled, *result.chosen, *signals_of(answer.shapes)])
+    signal_nT = problem.in_row_axes(result.residual_alone_nT - rest_nT)[problem.measured]
+    return SHAPE_ERROR * float(np.sqrt(np.mean(signal_nT**2)))
+
+
+def beyond_budget(problem: Problem, answer: Answer) -> Excess | None:
+    """A residual larger than the declared noise and attitude error give, or None: by three standard deviations beyond
+    what they are at the most, two standard deviations of the prior of the noise, one of the attitude error's.
+
+    Held-out figures are no measure of this: right answers may be at 1.6 of what is expected there.
+    """
+    declared, noise = problem.budget, answer.noise
+    if declared.attitude_sigma_rad is None or declared.noise_nT is None:
+        return None
+    kept = ~answer.robust.cut.any(axis=1)
+    field_nT, measured = problem.noise_field_nT[kept], problem.measured[kept]
+
+    def expected_nT(noise_trust: float, attitude_trust: float) -> float:
+        theta_rad = attitude_trust * (declared.attitude_sigma_rad or 0.0)
+        return floor_rms_nT(field_nT, noise_trust * noise.sigma_prior_nT, theta_rad, measured)
+
+    prior = prior_of(complete_budget(problem))
+    most_nT = expected_nT(float(np.exp(2.0 * prior.sigma_log_sd)), float(np.exp(prior.theta_log_sd)))
+    found_nT = residual_rms_nT(problem, answer)
+    spread = np.hypot(_LEAST_SPREAD, noise.theta_log_sd if np.isfinite(noise.theta_log_sd) else 0.0)
+    if found_nT <= most_nT * np.exp(3.0 * spread):
+        return None
+    said = f"the residual of the fit is {found_nT:.1f} nT rms, where {expected_nT(1.0, 1.0):.1f} nT were expected"
+    whiter = noise.white_rms_nT**2 - noise.sigma_prior_nT**2
+    turned = [floor_rms_nT(field_nT, 0.0, rad, measured) ** 2 for rad in (noise.theta_rad, declared.attitude_sigma_rad)]
+    if turned[0] - turned[1] <= whiter:
+        return Excess("sensor", said)
+    return Excess("attitude", f"{words.attitude_error(noise, declared.attitude_sigma_rad)}: {said}")
+
+
+def too_many_outliers(problem: Problem, robust: RobustRows) -> Excess | None:
+    """Readings that were set aside, where noise does not give as many, or None."""
+    count = robust.components_cut
+    by_chance = 2.0 * float(norm.sf(CUT_SIGMA)) * float(problem.measured.sum())
+    if count == 0 or poisson.sf(count - 1, by_chance) > GATE:
+        return None
+    return Excess("telemetry", words.outliers(problem.time, robust.cut))
+
+
+def assumed(budget: Budget, problem: Problem, noise: NoiseModel) -> dict[str, dict[str, Any]]:
+    """The noise that the answer rests on, by name: value, source (`declared`, `scenario` or `found`) and its flag.
+
+    budget: as given; noise: as found. Without the attitude's where no row has one.
+    """
+    complete, sources = complete_budget(problem), budget.sources or {}
+    declared_deg = None if budget.attitude_sigma_rad is None else float(np.degrees(budget.attitude_sigma_rad))
+    rounding_nT = (complete.lsb_nT or 0.0) / np.sqrt(12.0)
+    pairs = {  # as given, and as found
+        "noise_nT": (budget.noise_nT, float(np.sqrt(max(noise.sigma_nT**2 - rounding_nT**2, 0.0)))),
+        "lsb_nT": (budget.lsb_nT, complete.lsb_nT),
+        "attitude_sigma_deg": (declared_deg, float(np.degrees(noise.theta_rad))),
+        "attitude_tau_s": (budget.attitude_tau_s, noise.tau_s),
+    }
+    return {
+        name: {
+            "value": found if given is None else given,
+            "source": "found" if given is None else "scenario" if sources.get(name) == "scenario" else DECLARED,
+            "flag": f"--{name.replace('_', '-')}",
+        }
+        for name, (given, found) in pairs.items()
+        if not name.startswith("attitude") or problem.noise_image_nT.any()
+    }
+
+
+def expected(finding: Finding, frozen: Sequence[Active]) -> bool:
+    """Whether the scenario has this stochastic effect already, in this size (to a quarter, or three sigma)."""
+    for effect, theta in frozen:
+        if effect.name == finding.name and isinstance(effect, DistributionEffect):
+            bar = max(3.0 * float(finding.sigma[0]) * float(np.sqrt(2.0)), _AS_LARGE * float(theta[0]))
+            if abs(float(finding.theta[0]) - float(theta[0])) <= bar:
+                return True
+    return False

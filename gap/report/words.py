@@ -1,4 +1,8 @@
-"""What a diagnosis says, in words."""
+"""What a diagnosis says, in words; and what would settle a question that these data leave open.
+
+More of the same lowers the smallest size that shows as the square root of the time, so hours scale with the square of
+size detectable over size wanted. A manoeuvre changes the geometry instead: each effect says which (`settled_by`).
+"""
 
 from __future__ import annotations
 
@@ -8,11 +12,13 @@ from typing import Any
 import numpy as np
 
 from fluxtwin.calib.common.digits import plain
+from fluxtwin.calib.common.observability import listed
 from fluxtwin.gap.detectors.residual_structure import Structure
 from fluxtwin.gap.noise.choice import NoiseModel
-from fluxtwin.gap.records.diagnosis import FoundEffect, MomentumGap, Place, Shrinkage
+from fluxtwin.gap.records.diagnosis import Detectable, FoundEffect, MomentumGap, Place, Shrinkage
 from fluxtwin.sim.base.types import BoolArray, TimeArray
 from fluxtwin.sim.earth import epoch
+from fluxtwin.sim.effects.catalogue import CATALOGUE
 from fluxtwin.sim.effects.switched_field import SwitchedField
 
 SHAPE_INCOMPLETE = "some smaller structure remains"
@@ -27,7 +33,6 @@ SECOND_UNUSED = (
 )
 FIRST = "First correct the file as fluxtwin check says"
 """Begins the answer of a diagnosis of a file that is wrong."""
-UNEXPLAINED = "the catalogue does not explain all of the gap"
 _IN_WORDS = {"stage": "at stage ", "axis": "on ", "frame": "in ", "condition": "depending on "}
 """By kind of place, what comes before its names in a sentence."""
 _PLACES = {
@@ -50,6 +55,8 @@ _PLACES = {
     "region": "the region",
 }
 """Names of places that are no words of a sentence."""
+MOST_HOURS = 24.0 * 14
+"""Beyond two weeks of like data a manoeuvre is the better advice alone."""
 
 
 def no_gap(gap: Shrinkage, attitude_would_do_rad: float | None) -> str:
@@ -267,10 +274,8 @@ def assumed(values: Mapping[str, Mapping[str, Any]]) -> str:
         size, tau = values["attitude_sigma_deg"]["value"], values["attitude_tau_s"]["value"]
         memory = f" with a time constant of {float(f'{tau:.2g}'):g} s" if tau else ", white"
         parts.append(f"an attitude error of {size:.2g} deg{memory if size else ''}")
-    listed = parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"
-    return (
-        f"Not declared, so estimated from these data: {listed} ({', '.join(values[name]['flag'] for name in missing)})."
-    )
+    flags = ", ".join(values[name]["flag"] for name in missing)
+    return f"Not declared, so estimated from these data: {listed(parts)} ({flags})."
 
 
 def repeated_rounding(every: int) -> str:
@@ -287,3 +292,46 @@ def thinned(every: int, most_rows: int) -> str:
         f"one row in {every} is used to find slow effects; fast lines, bit errors and noise are sought at the full rate, "
         f"in up to {most_rows:,} rows"
     )
+
+
+def hours_needed(found: Detectable, wanted: float, hours: float) -> float:
+    """Hours of like data after which a size `wanted` shows, when `hours` of them show `found`."""
+    return hours * (found.value / abs(wanted)) ** 2
+
+
+def typical_size(name: str, parameter: str) -> float | None:
+    """The typical size of a parameter in the catalogue, None for what is not there."""
+    known = (p for effect in CATALOGUE if effect.name == name for p in effect.parameters if p.name == parameter)
+    return next((one.scale for one in known), None)
+
+
+def would_settle(detectable: Mapping[str, Detectable], untestable: Mapping[str, str], hours: float) -> dict[str, str]:
+    """For each effect that these data do not show at its typical size: what would, in words.
+
+    hours: of data that were used.
+    """
+    settled_by = {effect.name: effect.settled_by for effect in CATALOGUE}
+    advice = {}
+    for name, found in detectable.items():
+        wanted = typical_size(name, found.parameter)
+        if wanted is None or found.value <= abs(wanted):
+            continue
+        unit = "" if found.unit == "1" else f" {found.unit}"
+        needed = hours_needed(found, wanted, hours)
+        data = "more than two weeks of such data"
+        if needed <= MOST_HOURS:
+            data = f"about {_plain(needed)} h of such data instead of {_plain(hours)} h"
+        advice[name] = f"for {found.parameter} {abs(wanted):.3g}{unit}: {data}, or {settled_by[name]}"
+    return advice | {name: settled_by[name] for name in untestable if name in settled_by}
+
+
+def _plain(value: float) -> str:
+    """Two digits, never as a power of ten."""
+    return f"{float(f'{value:.2g}'):g}"
+
+
+def hours_of(time: TimeArray) -> float:
+    """Hours of data that rows at these times (N,) cover, gaps left out."""
+    if time.size < 2:
+        return 0.0
+    return float(np.median(np.diff(time)) / np.timedelta64(1, "s")) * time.size / 3600.0

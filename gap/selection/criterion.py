@@ -13,7 +13,7 @@ from fluxtwin.calib.common.criterion import THRESHOLD as THRESHOLD
 from fluxtwin.calib.common.criterion import penalty as penalty
 from fluxtwin.calib.common.criterion import samples_of as samples_of
 from fluxtwin.calib.common.criterion import worth as worth
-from fluxtwin.sim.base.types import BoolArray
+from fluxtwin.sim.base.types import BoolArray, FloatArray
 
 FEWEST = 30
 """Measurements that say anything by themselves: a variance is then known to a quarter, sqrt(2 / 30)."""
@@ -38,6 +38,11 @@ LOG_FURTHER = TWENTY_TO_ONE
 def stands_out(p_value: ArrayLike, worth: ArrayLike) -> BoolArray:
     """Whether a first cause is named. p_value: the least of all that was tested, times their number; worth: the largest."""
     return np.asarray((np.asarray(p_value) <= GATE) & (np.asarray(worth) > THRESHOLD), dtype=np.bool_)
+
+
+def weight_of(worse: ArrayLike) -> FloatArray:
+    """Posterior weight, against 1, of what costs so much more in twice the log; within what a number holds."""
+    return np.asarray(np.exp(-0.5 * np.clip(worse, -100.0, 1400.0)))
 
 
 def worth_of_shape(drop: float, explained: float, *, alone: bool) -> float:

@@ -162,9 +162,8 @@ def detectable(
 
 def _length(white: FloatArray, white_nuisance: FloatArray) -> FloatArray:
     """(k,) of whitened columns (M, 3, k) beside a nuisance (M, 3, c)."""
-    return np.asarray(
-        np.linalg.norm(projected_out(orthonormal(white_nuisance), white.reshape(-1, white.shape[2])), axis=0)
-    )
+    left = projected_out(orthonormal(white_nuisance), white.reshape(-1, white.shape[2]))
+    return np.asarray(np.linalg.norm(left, axis=0))
 
 
 def visible_part(

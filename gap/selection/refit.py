@@ -1,6 +1,7 @@
 """Fits in the nonlinear chain: damped Gauss-Newton for chosen effects together with everything that is modelled.
 
-What is fitted is a channel: readings of the magnetometer (`Readings`), or others that offer the same.
+What is fitted is a channel: readings of the magnetometer (`Readings`), or others that offer the same. Readings also propose
+what no column reports: when a field that was on for one stretch began and ended, and when an attitude jumped.
 """
 
 from __future__ import annotations
@@ -12,23 +13,30 @@ from functools import cached_property
 from typing import Protocol
 
 import numpy as np
+from scipy.stats import chi2
 
-from fluxtwin.gap.hypotheses.candidates import Candidate, candidate_of
-from fluxtwin.gap.hypotheses.perturbed_design import PerturbedDesign
+from fluxtwin.calib.common.criterion import FALSE_ALARM, THRESHOLD, worth
+from fluxtwin.gap.hypotheses.blocks import in_body
+from fluxtwin.gap.hypotheses.candidates import Candidate, PerturbedDesign, candidate_of
 from fluxtwin.gap.linear.projection import SHARE_LEFT, Whitens, least_share, orthonormal
 from fluxtwin.gap.noise.whitening import Whitener
 from fluxtwin.gap.problem.problem import Problem, calibrated, realigned
-from fluxtwin.gap.selection.interval import likeliest_interval, likeliest_jump
-from fluxtwin.sim.base.types import BoolArray, FloatArray
+from fluxtwin.gap.selection.criterion import SHAPE
+from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
+from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.effects.base import SignalEffect
 from fluxtwin.sim.effects.chain import Active, jacobian
 from fluxtwin.sim.effects.signal import Setting
+from fluxtwin.sim.effects.switched_field import SwitchedField
 
+_RCOND = 0.1 * float(np.sqrt(SHARE_LEFT))
 _STEPS = 12
 _HALVINGS = 6
 WHOLLY = 0.99  # of a parameter's direction
 _AS_PROMISED = 0.9
 _CONVERGED = 0.01  # of chi-square: far below anything a decision turns on
+_EDGES = 64
+_LEAST_SHARE = 0.05  # of the record, inside and on either side: shorter ones are spikes, or a step
 
 
 class Channel(Whitens, Protocol):
@@ -144,7 +152,7 @@ def refit(
     modelled = channel.modelled if modelled is None else modelled
     count, active = len(modelled), [*modelled, *chosen]
     vector = _packed(active)
-    low, high = _limits(active)
+    low, high = limits(active)
     start = np.clip(vector, low, high)
     vector = start.copy()
     vector[sum(len(theta) for _, theta in modelled) :] = 0.0
@@ -152,11 +160,8 @@ def refit(
     chi2 = float(np.sum(residual**2))
     if (start != vector).any():
         # From nothing, so that no fit ends worse than without: a clip is anything but linear.
-        vector, residual, chi2 = _search_line(channel, active, vector, start - vector, (low, high), chi2) or (
-            vector,
-            residual,
-            chi2,
-        )
+        better = _search_line(channel, active, vector, start - vector, (low, high), chi2)
+        vector, residual, chi2 = better or (vector, residual, chi2)
     jacobian = channel.jacobian(_unpacked(active, vector)) if guess is None else guess
     exact = guess is None
     for _ in range(2 * _STEPS):
@@ -195,7 +200,7 @@ def settled(problem: Problem) -> Problem:
         limit = 3.0 * max(float(np.median(size)) / 1.54, 1e-9)
         weight = np.sqrt(np.minimum(1.0, limit / np.maximum(size, 1e-12)))[:, None]
         vector = _packed(current.modelled_active)
-        low, high = _limits(current.modelled_active)
+        low, high = limits(current.modelled_active)
         jacobian = current.in_row_axes(current.nuisance) * weight[:, :, None]
         step = _step(jacobian, residual * weight, moving(jacobian))
         moved = _unpacked(current.modelled_active, np.clip(vector + step, low, high))
@@ -229,15 +234,12 @@ class Readings:
         return self.problem.setting
 
     def apply(self, columns: FloatArray) -> FloatArray:
-        """Columns (M, 3) or (M, 3, P) in nT, whitened."""
         return self.whitener.apply(columns)
 
     def residual(self, active: Sequence[Active]) -> FloatArray:
-        """(M, 3) whitened, with these effects on beside the frozen ones."""
         return self.whitener.apply(self.problem.residual_of(active))
 
     def jacobian(self, active: Sequence[Active]) -> FloatArray:
-        """(M, 3, sum of parameters) whitened, in the order of `active`."""
         images = self.problem.derivatives(active)
         return self.whitener.apply(images) if images.shape[2] else images
 
@@ -284,7 +286,8 @@ def _unpacked(active: Sequence[Active], vector: FloatArray) -> list[Active]:
     ]
 
 
-def _limits(active: Sequence[Active]) -> tuple[FloatArray, FloatArray]:
+def limits(active: Sequence[Active]) -> tuple[FloatArray, FloatArray]:
+    """Lowest and highest values of all parameters of these effects."""
     parameters = [parameter for effect, _ in active for parameter in effect.parameters]
     low = np.array([parameter.low for parameter in parameters])
     high = np.array([parameter.high for parameter in parameters])
@@ -306,7 +309,7 @@ def _step(jacobian: FloatArray, residual: FloatArray, free: BoolArray) -> FloatA
     if free.any():
         flat = jacobian.reshape(-1, free.size)[:, free]
         length = np.linalg.norm(flat, axis=0)
-        step[free] = np.linalg.lstsq(flat / length, residual.reshape(-1), rcond=_rcond())[0] / length
+        step[free] = np.linalg.lstsq(flat / length, residual.reshape(-1), rcond=_RCOND)[0] / length
     return step
 
 
@@ -314,10 +317,6 @@ def moving(jacobian: FloatArray) -> BoolArray:
     """(p,) parameters that move something, by more than rounding does."""
     length = np.sqrt((jacobian**2).sum(axis=(0, 1)))
     return np.asarray(length > np.finfo(np.float64).eps * length.max(initial=0.0))
-
-
-def _rcond() -> float:
-    return 0.1 * float(np.sqrt(SHARE_LEFT))
 
 
 def covariance_of(jacobian: FloatArray, free: BoolArray) -> tuple[FloatArray, BoolArray, int]:
@@ -328,7 +327,7 @@ def covariance_of(jacobian: FloatArray, free: BoolArray) -> tuple[FloatArray, Bo
     flat = jacobian.reshape(-1, free.size)[:, free]
     length = np.linalg.norm(flat, axis=0)
     _, values, vectors = np.linalg.svd(flat / length, full_matrices=False)
-    good = values > _rcond() * values[0]
+    good = values > _RCOND * values[0]
     turned = vectors[good].T / values[good]
     covariance[np.ix_(free, free)] = (turned @ turned.T) / np.outer(length, length)
     seen[free] = np.sum(vectors[good] ** 2, axis=0) > WHOLLY
@@ -354,3 +353,60 @@ def _search_line(
         if np.isfinite(found) and found < chi2:
             return trial, residual, found
     return None
+
+
+def likeliest_interval(
+    problem: Problem, whitener: Whitens, residual: FloatArray, nuisance: FloatArray
+) -> SwitchedField | None:
+    """The interval in which a constant field explains most of a whitened residual (M, 3), beside the nuisance (M, 3, c).
+
+    None where one step does as well, within noise and its shape error. Each pair of edges is a difference of two steps, so
+    all pairs follow from one Gram matrix of the steps.
+    """
+    rows = problem.rows
+    if rows < 4 * _EDGES:
+        return None
+    at = np.linspace(0, rows, _EDGES + 1).astype(int)[1:-1]
+    steps = (np.arange(rows)[:, None] >= at[None, :]).astype(np.float64)
+    white = whitener.apply(in_body(steps)).reshape(residual.size, -1)
+    basis = orthonormal(nuisance)
+    white = white - basis @ (basis.T @ white)
+    gram = (white.T @ white).reshape(at.size, 3, at.size, 3)
+    moment = (white.T @ residual.reshape(-1)).reshape(at.size, 3)
+    own = np.stack([gram[k, :, k, :] for k in range(at.size)])
+    single = _explained(own, moment)
+    first, last = np.triu_indices(at.size, k=max(int(_LEAST_SHARE * _EDGES), 1))
+    inside = (at[first] > _LEAST_SHARE * rows) & (at[last] < (1.0 - _LEAST_SHARE) * rows)
+    first, last = first[inside], last[inside]
+    mixed = gram[first, :, last, :]
+    both = own[first] + own[last] - mixed - np.transpose(mixed, (0, 2, 1))
+    double = _explained(both, moment[first] - moment[last])
+    best = int(np.argmax(double))
+    further = (double[best] - single.max()) / (1.0 + SHAPE * single.max())
+    if worth(further, 1, rows, float(np.log(at.size))) < THRESHOLD:
+        return None
+    begin, end = (epoch.iso(problem.time[at[edge[best]]], "ms") for edge in (first, last))
+    return SwitchedField("interval", begin, end)
+
+
+def likeliest_jump(time: TimeArray, residual: FloatArray, weights: FloatArray) -> list[str]:
+    """The moment (ISO 8601 UTC) of the row that a whitened residual (N, 3) says least of beforehand; none where chance does.
+
+    weights (N, 3): zero in rows that are set aside; just before that row they belong to the jump. One where there is
+    none costs two more candidates. Where the attitude's error has a memory, a jump of the attitude is all in the
+    innovation of one row: a moment that is off by a row misses it.
+    """
+    energy = np.sum(residual**2, axis=1)
+    row = int(np.argmax(energy))
+    if row == 0 or chi2.sf(energy[row], 3) * energy.size > FALSE_ALARM:
+        return []
+    while row > 1 and not weights[row - 1].any():
+        row -= 1
+    return [epoch.iso(time[row], "ms")]
+
+
+def _explained(gram: FloatArray, moment: FloatArray) -> FloatArray:
+    """(K,) drop of chi-square by the columns of each Gram matrix (K, 3, 3) with its moment (K, 3)."""
+    ridge = 1e-9 * np.trace(gram, axis1=1, axis2=2)[:, None, None] * np.eye(3) + 1e-300 * np.eye(3)
+    solved = np.linalg.solve(gram + ridge, moment[:, :, None])[:, :, 0]
+    return np.asarray(np.einsum("ki,ki->k", moment, solved))

@@ -17,7 +17,7 @@ from scipy.stats import f as f_distribution
 
 from fluxtwin.gap.hypotheses.candidates import Candidate, settings_of
 from fluxtwin.gap.linear.projection import SHARE_LEFT, Whitens, explained, orthonormal, projected_out
-from fluxtwin.gap.noise.budget import NOISE_LOG_SD
+from fluxtwin.gap.noise.choice import NOISE_LOG_SD
 from fluxtwin.gap.records.diagnosis import Score
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.effects.base import Effect

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import operator
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property
 from itertools import accumulate
 
@@ -130,15 +130,24 @@ def jacobian(
     Central differences of the whole chain with the default scale as step; one-sided where the range ends at zero.
     at: other effects that are on; theta: where to differentiate (default zero: absent).
     """
-    values = np.zeros(len(effect.parameters)) if theta is None else np.asarray(theta, dtype=np.float64)
+
+    def between(up: FloatArray, down: FloatArray) -> FloatArray:
+        return chain.reading_nT([*at, (effect, up)]) - chain.reading_nT([*at, (effect, down)])
+
+    return derivative(effect, np.zeros(len(effect.parameters)) if theta is None else theta, between)
+
+
+def derivative(
+    effect: Effect, theta: FloatArray, between: Callable[[FloatArray, FloatArray], FloatArray]
+) -> FloatArray:
+    """(N, k, p) derivative by the effect's parameters at theta (p,), by the differences of `jacobian`; between: what one set
+    of parameters makes less what the other does, (N, k)."""
     columns = []
     for number, parameter in enumerate(effect.parameters):
-        up, down = values.copy(), values.copy()
+        up, down = np.array(theta, dtype=np.float64), np.array(theta, dtype=np.float64)
         up[number] = min(up[number] + parameter.scale, parameter.high)
         down[number] = max(down[number] - parameter.scale, parameter.low)
-        high = chain.reading_nT([*at, (effect, up)])
-        low = chain.reading_nT([*at, (effect, down)])
-        columns.append((high - low) / (up[number] - down[number]))
+        columns.append(between(up, down) / (up[number] - down[number]))
     return np.stack(columns, axis=-1)
 
 

@@ -17,7 +17,7 @@ from jsonschema import Draft202012Validator
 from worlds import scenario_text
 
 import fluxtwin
-from fluxtwin.gap.records.schema import diagnosis_schema
+from fluxtwin.gap.records.diagnosis import diagnosis_schema
 from fluxtwin.gap.report import input_warnings, words
 from fluxtwin.sim.run.simulate import simulate
 from fluxtwin.sim.scenario.effect_sections import active_effects

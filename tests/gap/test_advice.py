@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from fluxtwin.gap.records.diagnosis import Detectable
-from fluxtwin.gap.report.advice import hours_needed, hours_of, would_settle
 from fluxtwin.gap.report.input_warnings import stuck_and_misfit, stuck_attitude
+from fluxtwin.gap.report.words import hours_needed, hours_of, would_settle
 from fluxtwin.sim.effects.base import SignalEffect
 from fluxtwin.sim.effects.switched_field import HeaterSwitching
 from fluxtwin.sim.telemetry.record import Telemetry

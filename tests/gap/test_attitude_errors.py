@@ -16,11 +16,11 @@ from scipy.spatial.transform import Rotation
 from worlds import scenario_text
 
 from fluxtwin.gap.diagnose import diagnose
-from fluxtwin.gap.hypotheses.conditions import conditions
-from fluxtwin.gap.hypotheses.perturbed_design import PerturbedDesign, steady
+from fluxtwin.gap.hypotheses.blocks import conditions, steady
+from fluxtwin.gap.hypotheses.candidates import PerturbedDesign
 from fluxtwin.gap.noise.whitening import NoiseModel, make_whitener
 from fluxtwin.gap.problem.problem import Budget, Problem, pose
-from fluxtwin.gap.report.level import beyond_budget
+from fluxtwin.gap.report.verdict import beyond_budget
 from fluxtwin.gap.selection.refit import Readings, refit, settled
 from fluxtwin.sim.earth.field import field_N_nT, load_field
 from fluxtwin.sim.effects.clock_and_orbit import TimeTagOffset

@@ -14,21 +14,19 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2, norm, poisson
 from worlds import scenario_text
 
+from fluxtwin.gap.detectors.codes import floor_noise, stochastic_nT, with_frozen_noise
 from fluxtwin.gap.detectors.finding import Finding
-from fluxtwin.gap.detectors.noise_level import floor_noise, stochastic_nT, with_frozen_noise
-from fluxtwin.gap.detectors.proposals import expected
 from fluxtwin.gap.held_out.closing import Declared, calibration, closed_scenario, settle
 from fluxtwin.gap.held_out.held_out import Prediction, closed_share
-from fluxtwin.gap.held_out.targets import DAYS, targets
-from fluxtwin.gap.held_out.transfer import _others, _seen_by_chance, transfers
+from fluxtwin.gap.held_out.transfer import DAYS, _others, _seen_by_chance, targets, transfers
 from fluxtwin.gap.noise.robust_rows import CUT_SIGMA, RobustRows
 from fluxtwin.gap.noise.whitening import NoiseModel, make_whitener
 from fluxtwin.gap.problem.problem import Budget, Problem, pose
 from fluxtwin.gap.problem.row_axes import turn_images
 from fluxtwin.gap.records.diagnosis import Closure
-from fluxtwin.gap.report.level import outliers
-from fluxtwin.gap.selection.named import Support, found_effect
+from fluxtwin.gap.report.verdict import expected, too_many_outliers
 from fluxtwin.gap.selection.refit import Readings, refit
+from fluxtwin.gap.selection.search import Support, found_effect
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.earth import epoch, frames, sun
 from fluxtwin.sim.earth.field import load_field
@@ -365,7 +363,7 @@ def test_readings_set_aside_are_too_many_where_chance_gives_one_in_a_thousand() 
     for cut, said in ((count, True), (count - 1, False)):
         weights = np.ones((10_000, 3))
         weights[:cut, 0] = 0.0
-        assert (outliers(problem, RobustRows(weights)) is not None) == said
+        assert (too_many_outliers(problem, RobustRows(weights)) is not None) == said
 
 
 def test_a_bootstrap_of_stretches_is_about_what_was_measured() -> None:

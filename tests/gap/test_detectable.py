@@ -8,9 +8,7 @@ from scipy.signal import lfilter
 from scipy.stats import chi2, f
 
 from fluxtwin.gap.linear.projection import projected
-from fluxtwin.gap.noise.budget import NoisePrior
-from fluxtwin.gap.noise.choice import select_noise
-from fluxtwin.gap.noise.reml import Data, Likelihood, likely_noises
+from fluxtwin.gap.noise.choice import Data, Likelihood, NoisePrior, noises_about, select_noise
 from fluxtwin.gap.noise.whitening import NoiseModel, Whitener, make_whitener
 from fluxtwin.gap.problem.row_axes import turn_images
 from fluxtwin.gap.selection.criterion import GATE, THRESHOLD, penalty, stands_out
@@ -107,7 +105,7 @@ class Slow:
         """The smallest size of the cause with what is known of the noise, and as if the noise were as it was chosen."""
         whitener = self.chosen(residual)
         data = Data(residual, self.bias, self.images, self.seconds, self.segment, whitener.weights)
-        likely = likely_noises(Likelihood(data, PRIOR), whitener.noise)
+        likely = noises_about(Likelihood(data, PRIOR), whitener.noise)
         assert sum(one.probability for one in likely) == pytest.approx(1.0)
         assert min(one.cost for one in likely) == 0.0
         noises = [Hiding(self.whitener(one.noise, whitener.weights), one.probability, one.cost) for one in likely]

@@ -11,20 +11,16 @@ import numpy as np
 import pytest
 from worlds import scenario_text
 
-from fluxtwin.gap.detectors import full_rate, switched_region, two_state
-from fluxtwin.gap.detectors.codes import coarse_steps, flipped_bits, stuck_bit
+from fluxtwin.gap.detectors import lines, switched
+from fluxtwin.gap.detectors.codes import coarse_steps, flipped_bits, noise_level, stuck_bit
 from fluxtwin.gap.detectors.finding import Finding
 from fluxtwin.gap.detectors.lines import companion, strongest_line, wheel_line
-from fluxtwin.gap.detectors.noise_level import noise_level
 from fluxtwin.gap.detectors.random_walk import modes_of_a_walk, random_walk
 from fluxtwin.gap.detectors.residual_structure import drift, judge
-from fluxtwin.gap.detectors.switched_region import _Place, _place, _snug
-from fluxtwin.gap.detectors.two_state import _scatter, heater_sequence
-from fluxtwin.gap.hypotheses.blocks import Block, blocks
-from fluxtwin.gap.hypotheses.evidence import fit_all
+from fluxtwin.gap.detectors.switched import _Place, _place, _scatter, _snug, heater_sequence
+from fluxtwin.gap.hypotheses.blocks import Block, blocks, fit
 from fluxtwin.gap.linear.projection import projected
-from fluxtwin.gap.noise.walk import likeliest_rate
-from fluxtwin.gap.noise.whitening import NoiseModel, Whitener, make_whitener, with_walk
+from fluxtwin.gap.noise.whitening import NoiseModel, Whitener, likeliest_rate, make_whitener, with_walk
 from fluxtwin.gap.posterior import structured
 from fluxtwin.gap.posterior.structured import Structured
 from fluxtwin.gap.problem.problem import Problem, pose
@@ -85,7 +81,7 @@ class Bench:
         residual = signal + sigma * rng.standard_normal((self.problem.rows, 3))
         setting = self.problem.setting
         left = projected(self.whitener, residual, self.calibration)
-        fits = fit_all(self.found, left)
+        fits = [fit(block, left) for block in self.found]
         verdict, line = judge(self.problem, left, fits), strongest_line(setting.seconds, left)
         findings: list[Finding | None] = [
             noise_level(left, SIGMA_NT, SIGMA_NT, None if verdict.structured else 0.0),
@@ -333,9 +329,9 @@ def test_the_edges_of_as_many_switches_as_are_allowed_are_moved(
     """Two switches, of which one is a row late; likelier is what has more rows right."""
     truth, nothing = np.arange(20) // 5 == 1, SimpleNamespace()
     found = truth & (np.arange(20) != 5)
-    monkeypatch.setattr(two_state, "_MOST_SWITCHES", most)
-    monkeypatch.setattr(two_state, "_worth", lambda left, on: 10.0 * np.sum(on == truth))
-    again = two_state._polished(nothing, found)  # type: ignore[arg-type]
+    monkeypatch.setattr(switched, "_MOST_SWITCHES", most)
+    monkeypatch.setattr(switched, "_worth", lambda left, on: 10.0 * np.sum(on == truth))
+    again = switched._polished(nothing, found)  # type: ignore[arg-type]
     assert np.array_equal(again, truth if polished else found)
 
 
@@ -368,9 +364,9 @@ def test_of_two_regions_the_one_that_explains_more_is_found(monkeypatch: pytest.
         on = image[:, 0, 0] > 0.0
         return SimpleNamespace(drop=signal_nT[on].sum() ** 2 / on.sum())
 
-    monkeypatch.setattr(switched_region, "fitted", drop)
-    found = switched_region._Search(SimpleNamespace(), place).best()  # type: ignore[arg-type]
-    assert found is not None and found.box == pytest.approx((20.0, 40.0, 32.0, 60.0), abs=4.0)
+    monkeypatch.setattr(switched, "fitted", drop)
+    found = switched._Search(SimpleNamespace(), place).best()  # type: ignore[arg-type]
+    assert found is not None and found[1] == pytest.approx((20.0, 40.0, 32.0, 60.0), abs=4.0)
 
 
 def test_a_multiple_of_a_wheel_is_no_second_wheel(bench: Bench) -> None:
@@ -429,8 +425,8 @@ def test_the_stretch_at_the_full_rate_is_the_middle_of_the_record(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Two rows more than it may have: one is left on each side; of three the odd one is at the end."""
-    monkeypatch.setattr(full_rate, "MOST_ROWS", 60)
+    monkeypatch.setattr(lines, "MOST_ROWS_FAST", 60)
     for rows in (62, 63):
         whole = bench.problem.telemetry.select(slice(0, rows))
-        near = full_rate._stretch(whole, bench.problem, [(bench.problem.modelled[0], np.zeros(3))], [])
+        near = lines._stretch(whole, bench.problem, [(bench.problem.modelled[0], np.zeros(3))], [])
         assert np.array_equal(near.time, whole.time[1:61])

@@ -131,7 +131,7 @@ def test_outliers_are_a_finding(record: Telemetry) -> None:
 
 def test_outliers_of_a_long_record_are_counted_in_every_row(monkeypatch: pytest.MonkeyPatch) -> None:
     """One row in two is enough for what is slow; outliers are found in any, here of just as many as are looked at."""
-    for module in ("diagnose.MOST_ROWS_FAST", "detectors.full_rate.MOST_ROWS"):
+    for module in ("diagnose.MOST_ROWS_FAST", "detectors.lines.MOST_ROWS_FAST"):
         monkeypatch.setattr(f"fluxtwin.gap.{module}", 3000)
     monkeypatch.setattr("fluxtwin.gap.diagnose.MOST_ROWS", 2500)
     segment = {"start_utc": "2026-03-01T00:00:00Z", "step_s": 5.0, "samples": 3000}

@@ -21,11 +21,9 @@ from fluxtwin import diagnosing
 from fluxtwin.gap.diagnose import diagnose
 from fluxtwin.gap.law import words
 from fluxtwin.gap.law.found import _Search
-from fluxtwin.gap.law.grammar import Grammar
-from fluxtwin.gap.law.search import RATIOS, Regression
+from fluxtwin.gap.law.search import RATIOS, Grammar, Regression
 from fluxtwin.gap.problem.problem import Budget
-from fluxtwin.gap.records.diagnosis import Diagnosis, Law, LawTerm
-from fluxtwin.gap.records.schema import diagnosis_schema
+from fluxtwin.gap.records.diagnosis import Diagnosis, Law, LawTerm, diagnosis_schema
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth.field import load_field
 from fluxtwin.sim.effects import law as effect

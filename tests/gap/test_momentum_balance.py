@@ -18,14 +18,12 @@ from scipy.spatial.transform import Rotation
 from worlds import scenario_text
 
 from fluxtwin import diagnosing, diagnosis_page
-from fluxtwin.gap.channels import momentum_noise
-from fluxtwin.gap.channels.momentum import MomentumChannel
+from fluxtwin.gap.channels import momentum
+from fluxtwin.gap.channels.momentum import MomentumChannel, plain_torques
 from fluxtwin.gap.channels.momentum_arcs import Arcs, Craft, Windows, _filled, arcs, windows
-from fluxtwin.gap.channels.momentum_images import plain_torques
 from fluxtwin.gap.posterior.torques import Momentum, balanced
 from fluxtwin.gap.problem.problem import Budget, Problem, pose
-from fluxtwin.gap.records.diagnosis import Diagnosis
-from fluxtwin.gap.records.schema import diagnosis_schema
+from fluxtwin.gap.records.diagnosis import Diagnosis, diagnosis_schema
 from fluxtwin.sim.earth import frames
 from fluxtwin.sim.earth.field import load_field
 from fluxtwin.sim.run.flights import vehicle_of
@@ -276,9 +274,9 @@ def test_an_attitude_finer_than_any_leaves_what_wanders_its_size(monkeypatch: py
             ratios = np.array([given[3].torque, given[3].rate]) / [0.1, 0.01]
             return -float(np.sum(np.log10(np.maximum(ratios, 1e-9)) ** 2)), sigma
 
-        monkeypatch.setattr(momentum_noise, "_likelihood", likelihood)
-        found = momentum_noise.choose_noise(nothing, nothing, nothing, Budget())
-        assert found.sigma_rad == max(sigma, momentum_noise._FINEST_RAD)
+        monkeypatch.setattr(momentum, "_likelihood", likelihood)
+        found = momentum.choose_noise(nothing, nothing, nothing, Budget())
+        assert found.sigma_rad == max(sigma, momentum._FINEST_RAD)
         wander = np.array([found.torque, found.rate]) * found.sigma_rad**2
         assert wander == pytest.approx(np.array([0.1, 0.01]) * sigma**2, rel=1e-9)
 

@@ -16,18 +16,22 @@ from scipy import stats
 
 from fluxtwin.gap.diagnose import _floor_log_sd
 from fluxtwin.gap.noise import choice
-from fluxtwin.gap.noise.budget import (
+from fluxtwin.gap.noise.choice import (
     DECLARED,
     FROM_DIFFERENCES,
     FROM_SPACING,
     NOT_KNOWN,
+    Data,
+    Likelihood,
     NoisePrior,
+    _affordable,
+    choose_noise,
+    complete_budget,
     prior_of,
     reading_spacing,
+    select_noise,
 )
-from fluxtwin.gap.noise.choice import _affordable, choose_noise, complete_budget, select_noise
 from fluxtwin.gap.noise.kernels import predict_each
-from fluxtwin.gap.noise.reml import Data, Likelihood
 from fluxtwin.gap.noise.robust_rows import first_weights, spike_weights, standing_out, weights_of
 from fluxtwin.gap.noise.whitening import NoiseModel, Whitener, make_whitener, with_walk
 from fluxtwin.gap.problem.problem import Budget, Problem, pose

@@ -12,11 +12,9 @@ from scipy.stats import norm
 from worlds import PARTS, scenario_text
 
 from fluxtwin.gap.planning import power
-from fluxtwin.gap.planning.base import base_tree
-from fluxtwin.gap.planning.choose import _answers, _rank, choose
-from fluxtwin.gap.planning.designs import Design, LimitsSection, designs
+from fluxtwin.gap.planning.designs import Design, LimitsSection, base_tree, designs
 from fluxtwin.gap.planning.power import Cause, Flown, probability_of
-from fluxtwin.gap.planning.questions import Open, ambiguous, apart, signal, to_place, typical
+from fluxtwin.gap.planning.questions import Open, _answers, _rank, ambiguous, apart, choose, signal, to_place, typical
 from fluxtwin.gap.selection.score import board
 from fluxtwin.planning import View
 from fluxtwin.sim.base.toml_input import validate

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from fluxtwin.gap.detectors.finding import fitted
 from fluxtwin.gap.detectors.lines import line_columns, strongest_line
 from fluxtwin.gap.detectors.residual_structure import drift, likeliest_step
-from fluxtwin.gap.detectors.waveforms import fitted
 from fluxtwin.gap.linear.projection import (
     ProjectedResidual,
     log10_sf_f,

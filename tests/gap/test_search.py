@@ -16,9 +16,8 @@ import pytest
 from scipy.signal import lfilter
 from worlds import PARTS, scenario_text
 
-from fluxtwin.gap.hypotheses.blocks import blocks
+from fluxtwin.gap.hypotheses.blocks import Dictionary, blocks
 from fluxtwin.gap.hypotheses.candidates import Candidate, candidates, made
-from fluxtwin.gap.hypotheses.evidence import Dictionary
 from fluxtwin.gap.linear.projection import projected_out
 from fluxtwin.gap.noise.robust_rows import RobustRows
 from fluxtwin.gap.noise.whitening import NoiseModel, Whitener, make_whitener
@@ -29,10 +28,9 @@ from fluxtwin.gap.selection import forward
 from fluxtwin.gap.selection.criterion import GATE, penalty, stands_out
 from fluxtwin.gap.selection.detectable import noncentrality, smallest, visible_part
 from fluxtwin.gap.selection.forward import Search, begin
-from fluxtwin.gap.selection.interval import likeliest_interval
-from fluxtwin.gap.selection.named import SearchResult
-from fluxtwin.gap.selection.refit import Readings, refit, settled
+from fluxtwin.gap.selection.refit import Readings, likeliest_interval, refit, settled
 from fluxtwin.gap.selection.score import board
+from fluxtwin.gap.selection.search import SearchResult
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.earth.field import load_field

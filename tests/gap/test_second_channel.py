@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from fluxtwin.diagnosing import diagnose
+from fluxtwin.gap.channels.sun_nadir import _confirmed
 from fluxtwin.gap.posterior.stated import stated
-from fluxtwin.gap.report.second_channel import _confirmed
 from fluxtwin.scenarios.hcmm import mission
 from fluxtwin.sim.earth import frames
 from fluxtwin.sim.run.simulate import simulate

@@ -49,7 +49,7 @@ def test_the_turn_of_head_1_comes_back_where_it_can_be_seen():
     to -34 deg, so that normal lies at azimuth 58 deg. A head turned by theta reports the sun turned by minus theta."""
     named = open_channel(fly(HEAD_1)).weigh().named
     normal = np.array([np.cos(np.radians(59.0)), np.sin(np.radians(59.0))])
-    found = normal @ [named.parameters["turn_x"][0], named.parameters["turn_y"][0]]
+    found = normal @ [named.parameters["turn_x"].value, named.parameters["turn_y"].value]
     assert found == pytest.approx(-normal @ [0.3, 0.52], abs=0.08)  # 0.5 deg steps of the head over four short passes
 
 
@@ -125,7 +125,7 @@ def test_a_constant_is_weighed_as_the_textbook_weighs_a_mean():
     of_row = np.repeat(np.arange(20), 5)
     residual = np.random.default_rng(9).normal(0.004, 0.01, 100)
     found = _weigh(("a", None), ("x",), np.ones((100, 1)), residual, of_row, 3)
-    value, sigma = found.parameters["x"]
+    value, sigma = found.parameters["x"].value, found.parameters["x"].sigma
     means = residual.reshape(20, 5).mean(axis=1)
     assert value == pytest.approx(np.degrees(means.mean()))
     assert sigma == pytest.approx(np.degrees(means.std(ddof=1) / np.sqrt(20.0)))

@@ -88,7 +88,7 @@ def test_a_row_says_what_the_densities_say(record: Telemetry) -> None:
         watch.covariance[:] = P
         run_rows(
             *(y, load, white, present, faults, field, np.array([phi]), watch.back, module._USUAL_nT),
-            *(module.DIRECTIONS, module.SIZES, module._AXES, module.GROWTH, watch.prior),
+            *(module.DIRECTIONS, module.SIZES, module._AXES, module.GROWTH, module._PRIOR),
             *(watch.state, watch.covariance, watch.settled, watch.evidence, watch.excursion, watch.since, watch.wild),
             *(row.time.astype(np.int64), True, 6.0, 1e3, 1e3, 1e300, np.empty((1, 3))),
         )  # load is now the image that was used

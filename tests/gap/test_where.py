@@ -17,14 +17,11 @@ import pytest
 from worlds import scenario_text
 
 from fluxtwin.gap.detectors.residual_structure import Structure, judge
-from fluxtwin.gap.hypotheses.blocks import Block, _orbit_and_time, blocks
-from fluxtwin.gap.hypotheses.conditions import regions
-from fluxtwin.gap.hypotheses.courses import _hats, courses
-from fluxtwin.gap.hypotheses.evidence import Dictionary, fit_all
+from fluxtwin.gap.hypotheses.blocks import Block, Dictionary, _orbit_and_time, blocks, fit, regions
 from fluxtwin.gap.linear.projection import projected
 from fluxtwin.gap.noise.whitening import NoiseModel, Whitener, make_whitener
 from fluxtwin.gap.posterior import where
-from fluxtwin.gap.posterior.where import _variance, locate, step_fits
+from fluxtwin.gap.posterior.where import _hats, _variance, courses, locate, step_fits
 from fluxtwin.gap.problem.problem import Problem, pose
 from fluxtwin.gap.problem.row_axes import turn_images
 from fluxtwin.gap.records.diagnosis import Place
@@ -74,7 +71,7 @@ class Design:
 
     def answer(self, residual_nT: np.ndarray) -> tuple[Structure, Place]:
         left = projected(self.whitener, residual_nT, self.calibration)
-        fits = fit_all(self.found, left)
+        fits = [fit(block, left) for block in self.found]
         return judge(self.problem, left, fits), locate(left, [*fits, *step_fits(self.problem, left)])
 
 
@@ -311,7 +308,7 @@ def test_what_follows_no_condition_has_a_stage(tumble: Design, name: str) -> Non
     make, stages = UNRECORDED[name]
     signal = d.noise_nT(np.random.default_rng(21)) + d.sized(make(d), 1.0)
     left = projected(d.whitener, signal, d.calibration)
-    fits = [*fit_all(d.found, left), *step_fits(d.problem, left)]
+    fits = [*(fit(block, left) for block in d.found), *step_fits(d.problem, left)]
     with_courses, blocks_alone = locate(left, fits, courses(d.problem, left)), locate(left, fits)
     assert (with_courses.stage in stages, with_courses.condition) == (True, None), with_courses
     share, alone = (sum(one.probabilities["stage"][name] for name in stages) for one in (with_courses, blocks_alone))
@@ -321,7 +318,7 @@ def test_what_follows_no_condition_has_a_stage(tumble: Design, name: str) -> Non
 def test_what_follows_a_condition_is_still_placed_under_it(tumble: Design) -> None:
     signal = tumble.noise_nT(np.random.default_rng(22)) + tumble.sized(panel(tumble), 1.0)
     left = projected(tumble.whitener, signal, tumble.calibration)
-    where = locate(left, fit_all(tumble.found, left), courses(tumble.problem, left))
+    where = locate(left, [fit(block, left) for block in tumble.found], courses(tumble.problem, left))
     assert (where.stage, where.condition) == ("spacecraft", "sunlit"), where
 
 

@@ -17,10 +17,9 @@ from fluxtwin.gap.held_out.held_out import floor_rms_nT, one_step
 from fluxtwin.gap.hypotheses.candidates import candidates
 from fluxtwin.gap.noise.robust_rows import first_weights, standing_out
 from fluxtwin.gap.noise.whitening import NoiseModel, make_whitener
-from fluxtwin.gap.problem import start
+from fluxtwin.gap.problem import row_axes as rows_without_attitude
 from fluxtwin.gap.problem.problem import Budget, Problem, pose, realigned
-from fluxtwin.gap.problem.row_axes import RowAxes, calibrated, row_axes
-from fluxtwin.gap.problem.start import start_without_attitude
+from fluxtwin.gap.problem.row_axes import RowAxes, calibrated, row_axes, start_without_attitude
 from fluxtwin.gap.selection.refit import settled
 from fluxtwin.sim.base.errors import NoAnswer
 from fluxtwin.sim.earth import frames
@@ -165,7 +164,7 @@ def test_a_bias_open_by_a_fiftieth_of_the_field_is_no_start(
     record = flight("b_nT = [12000.0, 9000.0, 0.0]")
     size_nT = np.median(np.linalg.norm(field_N_nT(load_field(), record.time, np.asarray(record.r_N_km)), axis=1))
     known = SimpleNamespace(names=("b_x", "S_xx"), sigmas=np.array([share * size_nT, 0.001]), S=TRUE_S, b_nT=TRUE_B_NT)
-    monkeypatch.setattr(start, "calibrate_scalar", lambda *_: SimpleNamespace(calibration=known))
+    monkeypatch.setattr(rows_without_attitude, "calibrate_scalar", lambda *_: SimpleNamespace(calibration=known))
     if refused:
         with pytest.raises(NoAnswer, match="b_x by"):
             start_without_attitude(record, load_field())

@@ -16,7 +16,7 @@ from jsonschema import Draft202012Validator
 
 from fluxtwin.calib.common.records import Calibration
 from fluxtwin.calib.onboard.export import import_calibration
-from fluxtwin.gap.records.schema import diagnosis_schema
+from fluxtwin.gap.records.diagnosis import diagnosis_schema
 from fluxtwin.sim.base import seals
 from fluxtwin.sim.scenario.scenario import load_scenario
 from fluxtwin.sim.telemetry.formats.catalogue import format_of

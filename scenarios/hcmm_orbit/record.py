@@ -15,7 +15,7 @@ import numpy as np
 
 from fluxtwin.scenarios.packaged import SCENARIOS, load_scenario
 from fluxtwin.sim.earth.stations import Station
-from fluxtwin.sim.run.scenario_stations import stations_of
+from fluxtwin.sim.run.world import stations_of
 
 Range = tuple[float, float]
 

@@ -261,15 +261,17 @@ def drawn_in(residual: FloatArray, kept: np.ndarray) -> FloatArray:
     return np.asarray(residual - np.clip(residual, -limit, limit))
 
 
-def drops_of(gram: FloatArray, fixed: int, each: int) -> FloatArray:
-    """By how much blocks of columns lower chi-square beside others. gram: whitened products of the `fixed` others, of the
-    blocks of `each` columns, and, last, of what is fitted."""
+def drops_of(gram: FloatArray, fixed: int) -> FloatArray:
+    """By how much blocks of three columns lower chi-square beside others.
+
+    gram: whitened products of the `fixed` others, of the blocks, and, last, of what is fitted.
+    """
     scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
     G = gram / np.outer(scale, scale)
     left = G[fixed:, fixed:] - G[fixed:, :fixed] @ np.linalg.pinv(G[:fixed, :fixed], hermitian=True) @ G[:fixed, fixed:]
     found = []
-    for at in range(0, len(left) - 1, each):
-        own = slice(at, at + each)
+    for at in range(0, len(left) - 1, 3):
+        own = slice(at, at + 3)
         found.append(left[own, -1] @ np.linalg.pinv(left[own, own], rcond=_LEAST_LEFT, hermitian=True) @ left[own, -1])
     return np.asarray(np.array(found) * scale[-1] ** 2)
 

@@ -312,7 +312,7 @@ def drops(rows: GyroRows, solved: Solved, kept: np.ndarray, fixed: FloatArray, t
         clear = _cleared(one, m, true, d, whole, ratio, with_S=with_S)
         seen = np.column_stack([clear.G[:, :at], clear.G[:, -6:], clear.G[:, at:-6], clear.y])
         gram += seen.T @ seen
-    return drops_of(gram * scale**2 / solved.variance_nT2, at + 6, 3)
+    return drops_of(gram * scale**2 / solved.variance_nT2, at + 6)
 
 
 def _residual(one: Stretch, reading_nT: FloatArray, S: FloatArray, c: FloatArray, weights: FloatArray) -> FloatArray:

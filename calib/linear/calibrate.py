@@ -194,7 +194,7 @@ def _drops(fit: LinearFit, design: Design, columns: drivers.Columns, name: str, 
     B = design.B_nT + drivers.drawn_in(fit.residuals_nT, fit.kept) @ back.T
     design = replace(design, B_nT=B)
     others = [*_others(fit, design), *(values for one, values in columns.items() if one != name)]
-    return drivers.drops_of(_products(fit, design, rows, [*others, *tried.T]), 3 * len(others), 3)
+    return drivers.drops_of(_products(fit, design, rows, [*others, *tried.T]), 3 * len(others))
 
 
 def _others(fit: LinearFit, design: Design) -> list[FloatArray]:

@@ -144,7 +144,7 @@ def _drops(fit: ScalarFit, rows: ScalarRows, name: str, tried: FloatArray) -> Fl
     step_s = float(np.median(np.diff(fit.time).astype("int64"))) * 1e-9
     memory = max(2.0 * fit.statistics.correlation_time_s / step_s, 1.0)
     left = float((fit.residuals_nT[kept] ** 2).mean())
-    return drivers.drops_of(seen.T @ seen / (left * memory), 3 * len(others), 3)
+    return drivers.drops_of(seen.T @ seen / (left * memory), 3 * len(others))
 
 
 def fit_rows(

@@ -269,8 +269,10 @@ def drawn_in(residual: FloatArray, kept: np.ndarray) -> FloatArray:
 
 
 def drops_of(gram: FloatArray, fixed: int) -> FloatArray:
-    """By how much blocks of three columns, x, y and z, lower chi-square beside others. gram: whitened products of the
-    `fixed` others, of the blocks, and, last, of what is fitted."""
+    """By how much blocks of three columns lower chi-square beside others.
+
+    gram: whitened products of the `fixed` others, of the blocks, and, last, of what is fitted.
+    """
     scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
     G = gram / np.outer(scale, scale)
     left = G[fixed:, fixed:] - G[fixed:, :fixed] @ np.linalg.pinv(G[:fixed, :fixed], hermitian=True) @ G[:fixed, fixed:]

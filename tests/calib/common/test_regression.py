@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fluxtwin.calib.common.observability import _in_nT
+from fluxtwin.calib.common.observability import pair_words
 from fluxtwin.calib.common.regression import regress, residuals
 
 pytestmark = pytest.mark.reference
@@ -98,4 +98,9 @@ def test_an_exact_relation_is_found_exactly() -> None:
 
 
 def test_the_sigma_of_a_factor_counts_in_nT_of_the_field() -> None:
-    assert (_in_nT("S12", 0.01, 3e4), _in_nT("b1", 5.0, 3e4)) == (300.0, 5.0)
+    """A pair is named where its larger sigma, 0.01 of S12 in a field of 30,000 nT or 5 nT of b1, is above the residual's."""
+    covariance = np.zeros((12, 12))
+    covariance[np.ix_([1, 9], [1, 9])] = [[1e-4, 0.049], [0.049, 25.0]]
+    assert ["S12 and b1" in words for words in pair_words(covariance, False, 3e4, 299.0)] == [True]
+    assert pair_words(covariance, False, 3e4, 301.0) == []
+    assert pair_words(covariance, False, 4.0, 4.9) and not pair_words(covariance, False, 4.0, 5.1)

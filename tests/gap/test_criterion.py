@@ -195,7 +195,7 @@ def test_a_walk_is_not_named_beside_something_unknown(
         stuck=None,
         every_row=(None, None),
     )
-    monkeypatch.setattr(verdict.level, "outliers", lambda *_: None)
+    monkeypatch.setattr(verdict, "too_many_outliers", lambda *_: None)
     said = verdict._conclude(work)
     assert [effect.name for effect in said.effects] == named
     assert said.verdict == ("effect" if known > 0.5 else "unknown")

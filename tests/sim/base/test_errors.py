@@ -21,6 +21,9 @@ from fluxtwin.sim.attitude import record
 from fluxtwin.sim.base.errors import BadInput, FluxtwinError
 from fluxtwin.sim.base.seals import unsealed_json
 from fluxtwin.sim.effects.response import Hysteresis
+from fluxtwin.sim.spacecraft.dynamics.environment import environment_along
+from fluxtwin.sim.spacecraft.dynamics.vehicle import Vehicle
+from fluxtwin.sim.spacecraft.torques import GravityGradient
 from fluxtwin.sim.telemetry.formats.forty_two import _numbers
 from fluxtwin.sim.telemetry.formats.table import Table
 from fluxtwin.sim.telemetry.record import Telemetry, concatenate
@@ -44,6 +47,11 @@ def made(**columns: Any) -> Telemetry:
     ("call", "said"),
     [
         (lambda: spun([2.0, 2.0, 1.0], [0.0] * 3), "spin: the rate or the axis is zero"),
+        (
+            lambda: environment_along(SOMETHING, TIME[0], 0.0),
+            "environment: duration 0 s, spacing 10 s. Wanted: both > 0",
+        ),
+        (lambda: Vehicle(AXES, torques=(GravityGradient(),) * 2).packed(), "torques: a torque is listed twice"),
         (lambda: unsealed_json("[1]", where="x.json", wanted="JSON"), "x.json: is JSON without keys. Wanted: JSON"),
         (
             lambda: Hysteresis(start="oox").apply(SOMETHING, AXES[0]),

@@ -23,6 +23,7 @@ from fluxtwin.sim.base.seals import unsealed_json
 from fluxtwin.sim.effects.response import Hysteresis
 from fluxtwin.sim.spacecraft.dynamics.environment import environment_along
 from fluxtwin.sim.spacecraft.dynamics.vehicle import Vehicle
+from fluxtwin.sim.spacecraft.sensors.slit_sun_sensor import SlitSunSensor
 from fluxtwin.sim.spacecraft.torques import GravityGradient
 from fluxtwin.sim.telemetry.formats.forty_two import _numbers
 from fluxtwin.sim.telemetry.formats.table import Table
@@ -84,6 +85,15 @@ def made(**columns: Any) -> Telemetry:
 def test_what_is_refused(call: Callable[[], object], said: str) -> None:
     with pytest.raises(FluxtwinError, match=said):
         call()
+
+
+def test_a_grid_that_is_too_coarse_for_the_spin_is_refused() -> None:
+    sensor = SlitSunSensor(noise_deg=0.1)
+    around = lambda t: np.stack([np.cos(3.0 * t), np.sin(3.0 * t), 0.0 * t], axis=1)  # noqa: E731
+    with pytest.raises(
+        BadInput, match=r"slit sun sensor: the grid of times is too coarse for the spin. Wanted: a finer"
+    ):
+        sensor.crossings(np.arange(5.0), around, np.random.default_rng(0))
 
 
 def test_a_file_of_42_without_rows_is_refused(tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ from itertools import pairwise
 import erfa
 import numpy as np
 
+from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.types import FloatArray, TimeArray
 from fluxtwin.sim.earth import epoch, frames, sun
 from fluxtwin.sim.earth.atmosphere import density_along
@@ -58,7 +59,12 @@ def environment_along(
     with_sun: bool = False,
     with_air: bool = False,
 ) -> Environment:
-    """The surroundings along an orbit; what is not asked for is zero. OutOfRange for epochs outside the field model."""
+    """The surroundings along an orbit. What is not asked for is zero.
+
+    Raises BadInput for a length or spacing that is not positive and OutOfRange for epochs outside the field model.
+    """
+    if not (duration_s > 0 and spacing_s > 0):
+        raise BadInput(f"duration {duration_s:g} s, spacing {spacing_s:g} s", where="environment", wanted="both > 0")
     count = int(np.ceil(duration_s / spacing_s - 1e-9)) + 3
     time = epoch.add_seconds(start, spacing_s * np.arange(-1.0, count - 1.0))
     nodes = np.zeros((count, 14 if with_sun or with_air else 9 if field is not None else 6))

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from fluxtwin.sim.attitude.record import Attitude
+from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import frames
 from fluxtwin.sim.spacecraft.dynamics.environment import Environment
@@ -31,9 +32,12 @@ class Start:
     def state(self, vehicle: Vehicle) -> FloatArray:
         """(7 + W,): q_NB, whole momentum in N, momentum of each wheel about its axis."""
         wheels = vehicle.wheel_rows
+        speed = np.asarray(self.wheel_speed_rad_s, dtype=np.float64).reshape(-1)
+        if speed.size != len(wheels):
+            raise BadInput(f"{speed.size} wheel speeds for {len(wheels)} wheels", where="start of the flight")
         q = np.asarray(self.q_NB, dtype=np.float64) / np.linalg.norm(self.q_NB)
         rate = np.asarray(self.rate_B_rad_s, dtype=np.float64)
-        own = wheels[:, 3] * (self.wheel_speed_rad_s + wheels[:, :3] @ rate)
+        own = wheels[:, 3] * (speed + wheels[:, :3] @ rate)
         momentum_B = vehicle.bare_inertia_kg_m2 @ rate + own @ wheels[:, :3]
         return np.concatenate([q, frames.rotation_from_q(q[None])[0].inv().apply(momentum_B), own])
 
@@ -142,11 +146,19 @@ def fly(
 
     The spacing of the environment is a whole number of steps. control_every: steps between two ticks of the control;
     log_every: steps between two rows of the answer. dipoles_B_Am2 (ticks, 3): what the torquers do besides the law.
-    knowledge (ticks, 6): errors of the attitude [rad] and of the field [T] that the law is given.
+    knowledge (ticks, 6): errors of the attitude [rad] and of the field [T] that the law is given. Raises BadInput for what
+    does not fit together.
     """
     from fluxtwin.sim.spacecraft.dynamics.kernels import fly as compiled
 
+    spacing_s = environment.spacing_s
+    substeps = round(spacing_s / step_s)
     rows = int(np.floor(duration_s / (step_s * log_every) + 1e-9)) + 1
+    if substeps < 1 or abs(substeps * step_s - spacing_s) > 1e-9 * spacing_s:
+        raise BadInput(f"step {step_s:g} s, nodes {spacing_s:g} s apart", where="flight", wanted="a whole ratio")
+    length_s = (rows - 1) * log_every * step_s
+    if (len(environment.nodes) - 3) * spacing_s < length_s - 1e-9:
+        raise BadInput(f"the surroundings end before {length_s:g} s", where="flight")
     wheels = vehicle.wheel_rows
     out = np.empty((rows, 13 + len(wheels)))
     compiled(
@@ -155,7 +167,7 @@ def fly(
         np.asarray(np.linalg.inv(vehicle.bare_inertia_kg_m2), dtype=np.float64),
         *vehicle.packed(),
         environment.nodes,
-        round(environment.spacing_s / step_s),
+        substeps,
         np.zeros((0, 3)) if dipoles_B_Am2 is None else np.ascontiguousarray(dipoles_B_Am2, dtype=np.float64),
         np.zeros((0, 6)) if knowledge is None else np.ascontiguousarray(knowledge, dtype=np.float64),
         np.array(vehicle.target.row),

@@ -102,6 +102,8 @@ class Vehicle:
     def packed(self) -> tuple[FloatArray, np.ndarray]:
         """Parameters of torques and law in one row, and where each begins (0: absent), as `kernels.fly` has them."""
         parts: dict[str, list[float]] = {t.name: t.packed(self.inertia_kg_m2) for t in self.torques}
+        if len(parts) < len(self.torques):
+            raise BadInput("a torque is listed twice", where="torques")
         if self.control is not None:
             parts[self.control.name] = self.control.packed(self.inertia_kg_m2)
         row, slots = [0.0], []

@@ -11,6 +11,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.section_types import NonNegative, Section
 from fluxtwin.sim.base.types import FloatArray
 
@@ -32,10 +33,14 @@ class SlitSunSensor(Section):
         """Times (M,) s and unit vectors (M, 3) to the sun in body axes, as measured.
 
         seconds: (N,) a grid fine enough that the sun's azimuth turns by less than half a turn a step. sun_B: true unit
-        vectors (n, 3) at any seconds (n,).
+        vectors (n, 3) at any seconds (n,). Raises BadInput for a grid that is too coarse.
         """
         azimuth = np.unwrap(self._azimuth(sun_B(seconds)))
         steps = np.diff(azimuth)
+        if steps.size == 0 or np.abs(steps).max() > 0.75 * np.pi:
+            raise BadInput(
+                "the grid of times is too coarse for the spin", where="slit sun sensor", wanted="a finer one"
+            )
         turn = np.floor(azimuth / (2.0 * np.pi))
         at = np.flatnonzero(np.diff(turn) != 0)
         level = 2.0 * np.pi * np.maximum(turn[at], turn[at + 1])

@@ -21,6 +21,10 @@ from fluxtwin.sim.attitude import record
 from fluxtwin.sim.base.errors import BadInput, FluxtwinError
 from fluxtwin.sim.base.seals import unsealed_json
 from fluxtwin.sim.effects.response import Hysteresis
+from fluxtwin.sim.spacecraft.dynamics.environment import environment_along
+from fluxtwin.sim.spacecraft.dynamics.vehicle import Vehicle
+from fluxtwin.sim.spacecraft.sensors.slit_sun_sensor import SlitSunSensor
+from fluxtwin.sim.spacecraft.torques import GravityGradient
 from fluxtwin.sim.telemetry.formats.forty_two import _numbers
 from fluxtwin.sim.telemetry.formats.table import Table
 from fluxtwin.sim.telemetry.record import Telemetry, concatenate
@@ -44,6 +48,11 @@ def made(**columns: Any) -> Telemetry:
     ("call", "said"),
     [
         (lambda: spun([2.0, 2.0, 1.0], [0.0] * 3), "spin: the rate or the axis is zero"),
+        (
+            lambda: environment_along(SOMETHING, TIME[0], 0.0),
+            "environment: duration 0 s, spacing 10 s. Wanted: both > 0",
+        ),
+        (lambda: Vehicle(AXES, torques=(GravityGradient(),) * 2).packed(), "torques: a torque is listed twice"),
         (lambda: unsealed_json("[1]", where="x.json", wanted="JSON"), "x.json: is JSON without keys. Wanted: JSON"),
         (
             lambda: Hysteresis(start="oox").apply(SOMETHING, AXES[0]),
@@ -76,6 +85,15 @@ def made(**columns: Any) -> Telemetry:
 def test_what_is_refused(call: Callable[[], object], said: str) -> None:
     with pytest.raises(FluxtwinError, match=said):
         call()
+
+
+def test_a_grid_that_is_too_coarse_for_the_spin_is_refused() -> None:
+    sensor = SlitSunSensor(noise_deg=0.1)
+    around = lambda t: np.stack([np.cos(3.0 * t), np.sin(3.0 * t), 0.0 * t], axis=1)  # noqa: E731
+    with pytest.raises(
+        BadInput, match=r"slit sun sensor: the grid of times is too coarse for the spin. Wanted: a finer"
+    ):
+        sensor.crossings(np.arange(5.0), around, np.random.default_rng(0))
 
 
 def test_a_file_of_42_without_rows_is_refused(tmp_path: Path) -> None:

@@ -178,6 +178,14 @@ def test_between_two_rows_the_motion_is_as_good_as_on_them(close) -> None:
 
 
 def test_what_does_not_fit_together_is_refused() -> None:
+    vehicle, start = busy_vehicle()
+    around = still_field(20.0, (0.0, 0.0, 0.0))
+    with pytest.raises(BadInput, match="surroundings end"):
+        fly(vehicle, around, start, duration_s=30.0, step_s=1.0)
+    with pytest.raises(BadInput, match="whole ratio"):
+        fly(vehicle, around, start, duration_s=20.0, step_s=0.3)
+    with pytest.raises(BadInput, match="wheel speeds"):
+        fly(vehicle, around, Start(Q0, np.zeros(3), np.zeros(1)), duration_s=20.0)
     with pytest.raises(BadInput, match="more inertia"):
         Vehicle(np.eye(3), (Wheel((1.0, 0.0, 0.0), 1.0),))
     with pytest.raises(BadInput, match="sum of the other two"):

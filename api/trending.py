@@ -20,6 +20,8 @@ from fluxtwin.sim.telemetry.record import Telemetry
 from fluxtwin.verbs import as_record, calibrate, reading_of, with_reading
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from fluxtwin.calib.trend import Trend
 
 DAY_H = 24.0
@@ -110,10 +112,26 @@ def trend_table(found: Trend) -> Table:
     return Table("Parameters over the calibrations", columns, rows, note)
 
 
-def trend_page(found: Trend) -> Page:
-    """The page of one trend."""
+def trend_figure(found: Trend) -> Figure:
+    """Every parameter over time."""
     from fluxtwin.plots.calibration import draw_trend
 
+    courses = {}
+    for one in found.histories:
+        x = (found.time - found.time[0]) / np.timedelta64(1, "D")
+        if one.kind == "step":
+            x = (np.arange(x.size) >= one.after).astype(np.float64)
+        elif one.kind == "temperature" and found.temperature_degC is not None:
+            x = found.temperature_degC
+        weight = one.sigmas**-2.0
+        fitted = one.mean + one.size * (x - (weight * x).sum() / weight.sum())
+        name = one.name if one.unit == "1" else f"{one.name} [{one.unit}]"
+        courses[name] = (one.values, one.sigmas, fitted, one.kind)
+    return draw_trend(found.time, courses)
+
+
+def trend_page(found: Trend) -> Page:
+    """The page of one trend."""
     caption = (
         "Dots: values with 1 sigma. Line: the history that fits each parameter best, grey where it is constant and red "
         "where the parameter changed."
@@ -126,6 +144,6 @@ def trend_page(found: Trend) -> Page:
         else "calibrate anew with the telemetry after the change.",
         sections=[
             PageSection("What it means", list(found.lines[1:])),
-            PageSection("Parameters", [], [trend_table(found)], [FigureBlock("trend", caption, draw_trend(found))]),
+            PageSection("Parameters", [], [trend_table(found)], [FigureBlock("trend", caption, trend_figure(found))]),
         ],
     )

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from fluxtwin.plots import style
-from fluxtwin.sim.base.types import BoolArray, FloatArray
-
-if TYPE_CHECKING:
-    from fluxtwin.calib.trend import History, Trend
+from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
 
 
 def draw_scatter(
@@ -110,33 +107,25 @@ def draw_node_misfit(
     return figure
 
 
-def draw_trend(found: Trend) -> Figure:
-    """A panel a parameter, three in a row; bars are 1 sigma. A line in colour where a parameter changed, grey where not."""
-    rows = -(-len(found.histories) // 3)
+def draw_trend(time: TimeArray, courses: Mapping[str, tuple[FloatArray, FloatArray, FloatArray, str]]) -> Figure:
+    """A panel a parameter, three in a row; bars are 1 sigma. A line in colour where a parameter changed, grey where not.
+
+    courses: by name with unit, (K,) values, their sigmas and what the parameter is taken to have done; and the kind of it:
+    constant, step, drift or temperature.
+    """
+    rows = -(-len(courses) // 3)
     figure, grid = style.figure(7.6, 0.8 + 1.5 * rows, rows=rows, cols=3, share_x=True)
     style.heading(figure, "Parameters over the calibrations; bars are 1 sigma")
     panels = [axes for row in grid for axes in row]
-    for axes, one in zip(panels, found.histories, strict=False):
-        colour, words = (style.GREY, "constant") if one.kind == "constant" else (style.VERMILION, "changed")
-        look: dict[str, Any] = {"drawstyle": "steps-mid" if one.kind == "step" else "default", "linewidth": 1.2}
-        axes.plot(found.time, _fitted(found, one), "-", color=colour, label=words, **look)
-        bars: dict[str, Any] = {"markersize": 3, "color": style.BLUE, "elinewidth": 1.0, "capsize": 2}
-        axes.errorbar(found.time, one.values, one.sigmas, fmt="o", **bars)
-        style.label(axes, title=one.name if one.unit == "1" else f"{one.name} [{one.unit}]")
+    for axes, (name, (values, sigmas, fitted, kind)) in zip(panels, courses.items(), strict=False):
+        colour, words = (style.GREY, "constant") if kind == "constant" else (style.VERMILION, "changed")
+        course = "steps-mid" if kind == "step" else "default"
+        axes.plot(time, fitted, "-", drawstyle=course, linewidth=1.2, color=colour, label=words)
+        axes.errorbar(time, values, sigmas, fmt="o", markersize=3, color=style.BLUE, elinewidth=1.0, capsize=2)
+        style.label(axes, title=name)
         axes.ticklabel_format(axis="y", useOffset=False)
-    for axes in panels[len(found.histories) :]:
+    for axes in panels[len(courses) :]:
         axes.set_visible(False)
     for axes in grid[-1]:
-        style.utc(axes, found.time, most=3)
+        style.utc(axes, time, most=3)
     return figure
-
-
-def _fitted(found: Trend, one: History) -> FloatArray:
-    """(K,) what a parameter is taken to have done."""
-    x = (found.time - found.time[0]) / np.timedelta64(1, "D")
-    if one.kind == "step":
-        x = (np.arange(x.size) >= one.after).astype(np.float64)
-    elif one.kind == "temperature" and found.temperature_degC is not None:
-        x = found.temperature_degC
-    weight = one.sigmas**-2.0
-    return np.asarray(one.mean + one.size * (x - (weight * x).sum() / weight.sum()))

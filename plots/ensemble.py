@@ -10,19 +10,20 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from fluxtwin.plots import style
-from fluxtwin.sim.base.types import BoolArray, FloatArray
-from fluxtwin.sim.run.ensemble.summary import Envelope
+from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
 
 
-def pointing_envelope(around: Envelope, *, title: str, vehicles: int) -> Figure:
-    """Percentiles over the vehicles at each time, and the worst vehicle of that time; in logarithms."""
-    time = around.time
+def pointing_envelope(time: TimeArray, around_deg: Sequence[FloatArray], *, title: str, vehicles: int) -> Figure:
+    """Percentiles over the vehicles at each time, and the worst vehicle of that time; in logarithms.
+
+    around_deg: 5, 50 and 95 %, and the worst, each (T,).
+    """
+    low_deg, median_deg, high_deg, max_deg = around_deg
     figure, ((axes,),) = style.figure(style.FULL_WIDTH_IN, 3.6)
-    axes.fill_between(time, around.p5_deg, around.p95_deg, color=style.SKY, alpha=0.45, linewidth=0, label="5 to 95 %")
-    axes.plot(time, around.median_deg, color=style.BLUE, linewidth=1.4, label="median")
-    worst: dict[str, Any] = {"color": style.VERMILION, "linewidth": 0.9, "linestyle": "--"}
-    axes.plot(time, around.max_deg, label="worst of that moment", **worst)
-    if around.p5_deg.min() > 0.0:
+    axes.fill_between(time, low_deg, high_deg, color=style.SKY, alpha=0.45, linewidth=0, label="5 to 95 %")
+    axes.plot(time, median_deg, color=style.BLUE, linewidth=1.4, label="median")
+    axes.plot(time, max_deg, color=style.VERMILION, linewidth=0.9, linestyle="--", label="worst of that moment")
+    if low_deg.min() > 0.0:
         axes.set_yscale("log")
         style.log_ruler(axes.yaxis)
     style.utc(axes, time)

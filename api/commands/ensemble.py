@@ -91,7 +91,8 @@ def _draw(flown: Ensemble) -> list[Path]:
         from fluxtwin.plots.ensemble import pointing_envelope
 
         flew = flown.plan.vehicles - found["lost"]
-        drawn = pointing_envelope(around, title=flown.plan.scenario.name, vehicles=flew)
+        parts = (around.p5_deg, around.median_deg, around.p95_deg, around.max_deg)
+        drawn = pointing_envelope(around.time, parts, title=flown.plan.scenario.name, vehicles=flew)
         caption = "Pointing error at each time over the vehicles; the worst of each moment need not be one vehicle."
         blocks = [FigureBlock("envelope", caption, drawn)]
     lost = [f"lost: vehicle {one['vehicle']}: {one['reason']}" for one in found["why_lost"][:3]]

@@ -15,9 +15,9 @@ from worlds import scenario_text
 import fluxtwin
 from fluxtwin.calib.common.records import Calibration
 from fluxtwin.calib.trend import Trend, trend
-from fluxtwin.plots.calibration import draw_trend
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.scenario.scenario import parse_scenario
+from fluxtwin.trending import trend_figure
 
 pytestmark = pytest.mark.closure
 
@@ -226,7 +226,7 @@ def test_a_step_is_drawn_as_one() -> None:
     """Upright half way between the calibrations, where a line from one to the next would be a drift."""
     step = np.zeros((4, 12))
     step[2:, 9] = 30.0
-    figure = draw_trend(trend(made(2, step)))
+    figure = trend_figure(trend(made(2, step)))
     panels = {axes.get_title(loc="left").split(" ")[0]: axes for axes in figure.axes if axes.get_visible()}
     assert panels["b1"].lines[0].get_drawstyle() == "steps-mid"
     assert panels["b2"].lines[0].get_drawstyle() == "default"

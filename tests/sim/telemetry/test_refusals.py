@@ -18,7 +18,7 @@ from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.limits import MAX_COLUMNS
 from fluxtwin.sim.telemetry.column_map import load_column_map
 from fluxtwin.sim.telemetry.column_map_draft import draft
-from fluxtwin.sim.telemetry.formats import frame, oem, xlsx
+from fluxtwin.sim.telemetry.formats import ccsds, frame, xlsx
 from fluxtwin.sim.telemetry.formats.table import Table
 
 pytestmark = pytest.mark.property
@@ -213,7 +213,7 @@ def test_a_column_of_numbers_is_no_text_and_another_shape_is_no_column() -> None
 def test_what_cannot_be_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     bare = small_record(2).replace(r_N_km=None, v_N_km_s=None)
     with pytest.raises(BadInput, match="has no positions"):
-        oem.write(bare, tmp_path / "t.oem")
+        ccsds.write_oem(bare, tmp_path / "t.oem")
     pd.DataFrame([[1.0]], index=[0], columns=["t"]).to_excel(tmp_path / "wide.xlsx", startcol=MAX_COLUMNS)
     with pytest.raises(BadInput, match=rf"wide\.xlsx: has {MAX_COLUMNS + 2} columns"):
         fluxtwin.read(tmp_path / "wide.xlsx")

@@ -220,8 +220,8 @@ def main() -> int:
         "commands": (400, 34),
         "bits": (1_500, 120),
         "disk": (300, 12),
-        "runs": (10, 2),
-        "loaded": (4, 1),
+        "runs": (10, 1),
+        "loaded": (4, 0),
     }
     for name, (full, quick) in sizes.items():
         if getattr(options, name) is None:

@@ -48,7 +48,6 @@ others; a crash by a signal is noticed.
 - The rows on tests: `benchmarks/mutants.py` puts one small fault at a time into the product
   ([those not noticed](design/unnoticed.md)), and coverage.py counts what they reach, compiled code run as Python.
 - *An older processor*: the instructions of newer ones are switched off in OpenBLAS and numpy.
-- *Tests in a random order*: files, and the tests of each, are shuffled; the load averages are of five minutes.
 - The rows on answers are counted from the newest frozen runs of `benchmarks/withheld.py` and from `benchmarks/sigmas.py`.
 
 | trial | how many | faults | wanted | found | commit |

@@ -38,9 +38,8 @@ def orders(folder: Path, *, runs: int, loaded: int, tests: str = "tests") -> Row
                 f"run {run + 1}: seed {seed}, load {loads[-1]:.1f}, {row.trials} tests so far, {len(row.faults)} faults",
                 flush=True,
             )
-    row.note = (
-        f"{runs} runs; load averages of {os.cpu_count()} cores: {', '.join(f'{one:.1f}' for one in sorted(loads))}"
-    )
+    each = ", ".join(f"{one:.1f}" for one in sorted(loads))
+    row.note = f"{runs} runs, files and their tests shuffled; load averages of {os.cpu_count()} cores: {each}"
     return row
 
 

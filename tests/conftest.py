@@ -61,9 +61,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         items.sort(key=lambda item: item.path.parent.name != "scenarios")
         return
     random.Random(seed).shuffle(items)
-    files = list(
-        dict.fromkeys(item.path for item in items)
-    )  # a file's tests stay together: they share what it computed
+    files = list(dict.fromkeys(item.path for item in items))
+    # A file's tests stay together: they share what it computed.
     items.sort(key=lambda item: files.index(item.path))
 
 

@@ -225,8 +225,9 @@ def main() -> int:
     for name, (full, quick) in sizes.items():
         if getattr(options, name) is None:
             setattr(options, name, quick if options.quick else full)
-        if getattr(options, name) < (name != "loaded"):
-            parser.error(f"--{name} is {int(name != 'loaded')} or more")
+        least = 0 if name == "loaded" else 1
+        if getattr(options, name) < least:
+            parser.error(f"--{name} is {least} or more")
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     rows = []
     for row in measured(options):

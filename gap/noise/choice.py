@@ -59,6 +59,8 @@ _WIDE, _NARROW = float(np.log(4.0)), 0.1
 """In the logarithms of ratio and time constant: the longest step of the search, and that of differences."""
 _CLOSE = 1e-3
 """In log likelihood, which is 0.04 standard deviations: no step is taken for less."""
+_DECIMALS = 6
+"""Of the logarithms of ratio and time constant: further ones are rounding, and differ between processors."""
 _NOTHING = -1e12
 _LATTICE = 1.5 * np.arange(-3, 4)
 """In standard deviations: as far as a noise model goes that takes a barely visible cause up (20 of chi-square), in steps
@@ -381,7 +383,7 @@ def _climbed(likelihood: Likelihood, ratio: float, tau_s: float) -> tuple[Choice
         # Newton's step, no longer than wide, and uphill where the surface is hollow.
         move = vector @ (along / np.maximum(value, np.maximum(np.abs(along) / _WIDE, 1e-12)))
         while slope @ move > 2.0 * _CLOSE:
-            further = np.clip(place + move, low, high)
+            further = np.clip(np.round(place + move, _DECIMALS), low, high)
             found = at(further)
             if found.log_posterior > here + _CLOSE:
                 break

@@ -253,7 +253,8 @@ def without_comments(data: bytes, notices: list[str]) -> tuple[bytes, int]:
         at = end + 1
     if not starts:
         return data, 0
-    cells = re.split(rb"[,;\t|]", data[at : data.find(b"\n", at) + 1].rstrip())
+    row = data[at : data.find(b"\n", at) + 1].strip()
+    cells = re.split(rb"[,;\t|]" if re.search(rb"[,;\t|]", row) else rb" +", row)
     is_row = any(cell.strip() and _is_number(cell.decode("utf-8", "replace")) for cell in cells)
     lines = len(starts) - is_row
     if lines:
@@ -262,7 +263,7 @@ def without_comments(data: bytes, notices: list[str]) -> tuple[bytes, int]:
 
 
 def _with_commas(data: bytes, notices: list[str], where: str, above: int) -> bytes:
-    """A table whose header is separated by semicolons or tabs, with commas and decimal points, and a notice of that.
+    """A table between semicolons, tabs, bars or blanks with commas and decimal points instead, and a notice of that.
 
     above: number of lines cut above it.
     """
@@ -270,6 +271,9 @@ def _with_commas(data: bytes, notices: list[str], where: str, above: int) -> byt
     if head.lower().startswith(b"sep="):  # a spreadsheet's own first line
         data, (head, newline, rest) = rest, rest.partition(b"\n")
     mark, word = next(((mark, word) for mark, word in _MARKS.items() if mark in head), (b"", ""))
+    if not mark and b"," not in head and b" " in head.strip() and b" " in rest.partition(b"\n")[0].strip():
+        mark, word = b"\t", "blanks"
+        head, newline, rest = _words_by_tabs(data, where, above).partition(b"\n")
     if not mark or b"," in head:
         return data
     if b'"' in data:
@@ -290,6 +294,21 @@ def _with_commas(data: bytes, notices: list[str], where: str, above: int) -> byt
     return head.replace(mark, b",") + newline + rest.replace(mark, b",")
 
 
+def _words_by_tabs(data: bytes, where: str, above: int) -> bytes:
+    """A table between blanks, with tabs instead. Raises BadInput for a row of more or fewer words than the header."""
+    rows = [b"\t".join(row.split()) for row in data.split(b"\n")]
+    counts = [row.count(b"\t") + 1 for row in rows]
+    odd = next((k for k, row in enumerate(rows[:-1]) if row and counts[k] != counts[0]), None)  # the last may be cut
+    if odd is not None:
+        raise BadInput(
+            f"its columns are separated by blanks, and line {above + odd + 1} has {counts[odd]} words, "
+            f"the header {counts[0]}",
+            where=where,
+            wanted="as many words in every line as in the header (none with a blank inside), or commas between columns",
+        )
+    return b"\n".join(rows)
+
+
 def _names(head: bytes, where: str) -> tuple[str, ...]:
     text = head.decode("utf-8")
     if text.count(",") >= MAX_COLUMNS:
@@ -298,6 +317,12 @@ def _names(head: bytes, where: str) -> tuple[str, ...]:
         names = tuple(name.strip() for name in next(csv.reader([text], strict=True), []))
     except csv.Error as error:
         raise BadInput(f"the header cannot be split ({error})", where=where) from None
+    if 2 * sum(_NUMBER.fullmatch(name) is not None for name in names) > len(names):
+        raise BadInput(
+            "has no header: its first line is a row of numbers",
+            where=where,
+            wanted="the names of the columns in the first line, with units, as time, r_x_km, mag_x_nT (docs/telemetry.md)",
+        )
     doubled = sorted({name for name in names if names.count(name) > 1}) if len(set(names)) < len(names) else []
     if doubled:
         raise BadInput(f"column {clip(doubled[0]) or '(no name)'} is there twice", where=where, wanted="each once")

@@ -51,7 +51,8 @@ class Reading(TypedDict, total=False):
     magnetometer: int
 
 
-_SUFFIXES = f".nc, .csv, .csv.gz, {', '.join(READ)}"
+_TEXT = (".csv", ".csv.gz", ".txt", ".dat", ".tsv")
+_SUFFIXES = ", ".join((".nc", *_TEXT, *READ))
 
 
 def read_telemetry(
@@ -161,7 +162,7 @@ def _kind(path: Path | str) -> str:
     name = str(path).lower()
     if name.endswith((".nc", ".nc4", ".h5")):
         return "nc"
-    if name.endswith((".csv", ".csv.gz")):
+    if name.endswith(_TEXT):
         return "csv"
     if Path(path).is_dir():
         raise BadInput("is a folder", where=str(path), wanted=f"a {_SUFFIXES} file, or a column map for a folder")

@@ -272,6 +272,7 @@ FAULTS: dict[str, tuple[Callable[[list[str]], list[str]], str]] = {
     "no such zone": (lambda x: [s.replace("06:02:00Z", "06:02:00+99:99") for s in x], "time in row 3"),
     "no such day": (lambda x: [s.replace("07-24T06:02", "02-29T06:02") for s in x], "time in row 3"),
     "blank time": (lambda x: [s.replace("1978-07-24T06:02:00Z", "") for s in x], "time is missing in row 3"),
+    "no header": (lambda x: x[1:], "has no header: its first line is a row of numbers"),
     "no rows": (lambda x: x[:1], "there are no rows"),
     "short row": (lambda x: [*x[:2], x[2].rsplit(",", 1)[0], *x[3:]], "row 2 has 10 fields, the header has 11"),
     "every row too long": (lambda x: [x[0], *(s + ",1" for s in x[1:])], "row 1 has 12 fields"),
@@ -331,6 +332,24 @@ def test_other_marks_between_columns_and_decimal_commas_are_read_and_said(tmp_pa
     assert np.array_equal(points.mag_B_nT, plain.mag_B_nT) and "decimals" not in points.provenance["notices"]
 
 
+@pytest.mark.parametrize("name", ["a.dat", "a.txt"])
+def test_columns_between_blanks_are_read_and_said(tmp_path: Path, name: str) -> None:
+    """As Fortran and MATLAB write them, in columns that line up, and as numpy.savetxt does by default."""
+    plain = read_telemetry(save(tmp_path, plain_lines()))
+    cells = [line.split(",") for line in plain_lines()]
+    aligned = ["  " + "   ".join(f"{cell:>24}" for cell in row) + " " for row in cells]
+    for lines in (aligned, ["# a title", "# " + " ".join(cells[0]), *map(" ".join, cells[1:])]):
+        found = read_telemetry(save(tmp_path, lines, name))
+        assert np.array_equal(found.mag_B_nT, plain.mag_B_nT) and np.array_equal(found.r_N_km, plain.r_N_km)
+        assert "separated by blanks" in found.provenance["notices"]
+    (tmp_path / name).write_text("\n".join(aligned)[:-60], encoding="utf-8")
+    cut = read_telemetry(tmp_path / name)
+    assert len(cut) == len(plain) - 1 and "no line end" in cut.provenance["notices"]
+    stamps = [line.replace("Z ", " UTC ") for line in aligned]
+    with pytest.raises(BadInput, match="line 2 has 12 words, the header 11"):
+        read_telemetry(save(tmp_path, stamps, name))
+
+
 @pytest.mark.parametrize("mark", [",", ";"])
 def test_comments_above_the_header_are_passed_over(tmp_path: Path, mark: str) -> None:
     """With or without marks of columns in them; numpy.savetxt makes a comment of the header itself."""
@@ -383,7 +402,7 @@ def test_missing_folder_and_unknown_kinds(tmp_path: Path) -> None:
         (tmp_path / "absent.csv", "there is no such file"),
         (tmp_path / "absent.nc", "there is no such file"),
         (tmp_path, "is a folder"),
-        (tmp_path / "a.txt", "not known from its name"),
+        (tmp_path / "a.log", "not known from its name"),
     ):
         with pytest.raises(BadInput, match=said):
             read_telemetry(path)

@@ -104,7 +104,7 @@ def _table(given: Any) -> Table:
     """A table of pandas or xarray as ours; raises BadInput for anything else."""
     from fluxtwin.sim.telemetry.formats import frame
 
-    kind = f"{type(given).__module__.partition('.')[0]} {type(given).__name__}"
+    kind = _kind_of(given)
     if kind == "pandas DataFrame":
         return frame.of_pandas(given)
     if kind == "xarray Dataset":
@@ -117,12 +117,11 @@ def as_path(given: Any, where: str = "telemetry", wanted: str = _READABLE) -> Pa
     """`given` as the path of a file; raises BadInput that says what it is instead, and what is wanted in its place."""
     if isinstance(given, str | os.PathLike):
         return Path(given)
-    kind = f"{type(given).__module__.partition('.')[0]} {type(given).__name__}"
-    raise BadInput(
-        f"an object of type {kind.removeprefix('builtins ')} was given",
-        where=where,
-        wanted=wanted,
-    )
+    raise BadInput(f"an object of type {_kind_of(given)} was given", where=where, wanted=wanted)
+
+
+def _kind_of(given: Any) -> str:
+    return f"{type(given).__module__.partition('.')[0]} {type(given).__name__}".removeprefix("builtins ")
 
 
 def read_table(path: Path | str | Table, *, max_samples: int = MAX_SAMPLES, others: Sequence[str] = ()) -> FileTable:
@@ -143,8 +142,12 @@ def read_table(path: Path | str | Table, *, max_samples: int = MAX_SAMPLES, othe
 def write_telemetry(telemetry: Telemetry, path: Path | str) -> Path:
     """Write the record to `path`, in the format of its ending, atomically; CSV to a device or pipe. Returns the path.
 
-    Each magnetometer's readings go into its own columns.
+    Each magnetometer's readings go into its own columns. Raises BadInput for anything but a record.
     """
+    given: object = telemetry
+    if not isinstance(given, Telemetry):
+        wanted = "a fluxtwin.Telemetry (`simulate` returns two: the telemetry and the truth)"
+        raise BadInput(f"an object of type {_kind_of(given)} was given", where="telemetry", wanted=wanted)
     telemetry = telemetry.with_magnetometer(1)
     found = None if is_stream(path) else format_of(path)
     if found is not None:

@@ -6,6 +6,7 @@ import dataclasses
 import gzip
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import h5netcdf
 import h5py
@@ -406,6 +407,14 @@ def test_missing_folder_and_unknown_kinds(tmp_path: Path) -> None:
     ):
         with pytest.raises(BadInput, match=said):
             read_telemetry(path)
+
+
+def test_what_is_no_record_is_not_written(tmp_path: Path) -> None:
+    """As the pair that `simulate` returns."""
+    both: Any = (full_record(), None)
+    with pytest.raises(BadInput, match="an object of type tuple was given"):
+        write_telemetry(both, tmp_path / "a.csv")
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("name", ["a.csv", "a.nc"])

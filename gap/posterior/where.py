@@ -306,12 +306,15 @@ def _shared(found: Sequence[_Hypothesis]) -> list[_Hypothesis]:
 
 
 def _variance(left: ProjectedResidual, fits: Sequence[BlockFit], free: Sequence[CourseFit]) -> float:
-    """Of the residual, beside what explains most of it."""
-    most, rank = max((one.explained() for one in fits), key=lambda each: each[0])
-    variance = max((left.energy - most) / max(left.degrees - rank, 1), 1e-300)
+    """Of the residual, beside what explains most of it; above zero."""
+
+    def rest(taken: float, rank: float) -> float:
+        return max(left.energy - taken, 1e-300) / max(left.degrees - rank, 1)
+
+    variance = rest(*max((one.explained() for one in fits), key=lambda each: each[0]))
     for one in free:
         _, drop, directions = one.worth(variance, left.degrees / 3.0)
-        variance = min(variance, (left.energy - drop * variance) / (left.degrees - directions))
+        variance = min(variance, rest(drop * variance, directions))
     return variance
 
 

@@ -170,7 +170,8 @@ def _kind(path: Path | str) -> str:
     if Path(path).is_dir():
         raise BadInput("is a folder", where=str(path), wanted=f"a {_SUFFIXES} file, or a column map for a folder")
     refuse_toml(path)
-    raise BadInput("the kind of this file is not known from its name", where=str(path), wanted=_SUFFIXES)
+    matlab = " (in MATLAB, writetable makes a .csv of a table)" if name.endswith(".mat") else ""
+    raise BadInput("the kind of this file is not known from its name", where=str(path), wanted=f"{_SUFFIXES}{matlab}")
 
 
 def refuse_toml(path: Path | str) -> None:

@@ -404,6 +404,7 @@ def test_missing_folder_and_unknown_kinds(tmp_path: Path) -> None:
         (tmp_path / "absent.nc", "there is no such file"),
         (tmp_path, "is a folder"),
         (tmp_path / "a.log", "not known from its name"),
+        (tmp_path / "a.mat", "writetable makes a .csv"),
     ):
         with pytest.raises(BadInput, match=said):
             read_telemetry(path)

@@ -174,9 +174,10 @@ def assemble(
 def _conclude(work: Work) -> _Conclusion:
     problem, answer, momentum = work.problem, work.answer, work.momentum
     already = [one for one in work.flexible if expected(one, problem.frozen)]
-    new = [one for one in work.flexible if one not in already and (work.known >= 0.5 or one.is_noise)]
-    shapes = [_of_shape(one, problem.setting, work.known) for one in new]
     named = work.in_readings
+    whole = work.known >= 0.5 and bool(named) == bool(answer.result.named)
+    new = [one for one in work.flexible if one not in already and (whole or one.is_noise)]
+    shapes = [_of_shape(one, problem.setting, work.known) for one in new]
     signals = sorted([*named, *momentum.standing], key=lambda one: one.significance) if momentum.standing else named
     effects, fault = [*signals, *shapes], None
     if work.angle is not None:

@@ -252,6 +252,11 @@ class Ranked(Record):
     p_value: Share
     """Corrected for the number of tests."""
 
+    @property
+    def order(self) -> tuple[float, float]:
+        """The surest first; what only rounding tells apart is alike."""
+        return float(f"{self.p_value:.8e}"), -float(f"{self.drop:.8e}")
+
 
 @dataclass(frozen=True, eq=False)
 class Score:

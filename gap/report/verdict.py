@@ -164,7 +164,7 @@ def assemble(
         notes=notes,
         series=replace(prediction.series(problem.time, in_readings), cut=answer.robust.cut_rows),
         # Each was tested in its own channel.
-        ranking=sorted([*result.ranking, *momentum.ranking], key=lambda line: (line.p_value, -line.drop)),
+        ranking=sorted([*result.ranking, *momentum.ranking], key=lambda line: line.order),
         momentum=momentum.gap,
         closure=_closure(work, found),
         scores=result.scores,

@@ -267,7 +267,7 @@ def ranking(under_way: Search[Any]) -> tuple[Ranked, ...]:
         if rank
     ]
     best: dict[str, Ranked] = {}
-    for line in sorted(lines, key=lambda line: (line.p_value, -line.drop)):
+    for line in sorted(lines, key=lambda line: line.order):
         best.setdefault(line.name, line)
     return tuple(best.values())
 

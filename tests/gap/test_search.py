@@ -24,6 +24,7 @@ from fluxtwin.gap.noise.whitening import NoiseModel, Whitener, make_whitener
 from fluxtwin.gap.posterior.explanations import concluded, weighed_with
 from fluxtwin.gap.problem.problem import Problem, pose
 from fluxtwin.gap.problem.row_axes import turn_images
+from fluxtwin.gap.records.diagnosis import Ranked
 from fluxtwin.gap.selection import forward
 from fluxtwin.gap.selection.criterion import GATE, penalty, stands_out
 from fluxtwin.gap.selection.detectable import noncentrality, smallest, visible_part
@@ -294,6 +295,17 @@ def test_the_smallest_size_is_that_of_an_effects_first_form() -> None:
     both = np.concatenate([one.jacobian for one in tried], axis=2)
     found, _ = smallest(board(tried, both, np.zeros((200, 3)), np.zeros((200, 3, 0)), 600), 2)
     assert found["time_tag_offset"].parameter.name == "offset"
+
+
+def test_what_rounding_alone_tells_apart_stays_in_its_order() -> None:
+    """Two effects with one image have drops that differ in the last digits, by the processor."""
+    more = Ranked("mounting_step", 40.0, 3, 1e-6 * (1.0 - 1e-12))
+    lines = [Ranked("attitude_step", 40.0 * (1.0 - 1e-12), 3, 1e-6), more, Ranked("bias_step", 39.0, 3, 1e-7)]
+    assert [line.name for line in sorted(lines, key=lambda line: line.order)] == [
+        "bias_step",
+        "attitude_step",
+        "mounting_step",
+    ]
 
 
 def test_dead_torquer_is_untestable_and_a_dead_axis_is_dropped() -> None:

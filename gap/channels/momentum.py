@@ -52,6 +52,10 @@ _FINEST_RAD = float(np.radians(0.002))
 """No attitude is taken to be better: what wheels do between rows, and short arcs, are not known better."""
 _ROUNDS = 3
 _NEAR = 4
+_CLOSE = 1e-3
+"""Of log likelihood, 0.04 standard deviations: no more noise is taken for less."""
+_SURE = 1e-5
+"""Images are differences of two flights, right to 1e-8: a combination of them with less is not known to a thousandth."""
 _DEAD_RAD = 1e-9
 """A parameter of its typical size that turns no node by more is not there."""
 
@@ -187,10 +191,11 @@ def choose_noise(windows: Windows, residual: FloatArray, saturated: FloatArray, 
 def _climbed(
     noise: MomentumNoise, name: str, grid: Sequence[float], likelihood: Callable[[MomentumNoise], float]
 ) -> MomentumNoise:
-    """The best along one axis of the grid: coarse first, then beside the best."""
+    """The best along one axis of the grid, or the first that is as good: coarse first, then beside the best."""
     places = sorted({*range(0, len(grid), _NEAR), grid.index(getattr(noise, name)), len(grid) - 1})
     while True:
-        best = max(places, key=lambda place: likelihood(replace(noise, **{name: grid[place]})))
+        heights = [likelihood(replace(noise, **{name: grid[place]})) for place in places]
+        best = min(place for place, height in zip(places, heights, strict=True) if height >= max(heights) - _CLOSE)
         beside = [place for place in (best - 1, best + 1) if 0 <= place < len(grid) and place not in places]
         if not beside:
             return replace(noise, **{name: grid[best]})
@@ -208,7 +213,7 @@ def _likelihood(
     # Only what Q makes of one vector is wanted, not Q: half the time.
     along, R, _ = qr_multiply(design, white, mode="right", pivoting=True)
     size = np.abs(np.diag(R))
-    kept = size > 1e-7 * max(float(size.max(initial=0.0)), 1e-300)
+    kept = size > _SURE * max(float(size.max(initial=0.0)), 1e-300)
     free = max(whitener.measured - int(kept.sum()), 1)
     whole = float(white @ white)
     chi2 = max(whole - float(along[kept] @ along[kept]), 1e-14 * whole, 1e-300)  # not less than rounding
@@ -295,6 +300,7 @@ def unresolved(windows: Windows) -> FloatArray:
         moved = np.any(np.diff(arcs.dipole_B_Am2, axis=0) != 0.0, axis=0)
         held = [arcs.held | (np.arange(3) == axis) for axis in np.flatnonzero(moved)]
         parts += [arcs.but(held=one).flown(vehicle) - arcs.base for one in held]
+    parts = [one for one in parts if np.max(np.abs(one), initial=0.0) > _DEAD_RAD]  # less is rounding
     if not parts:
         return np.zeros((windows.rows.size, 3, 0))
     return windows.chained(np.stack(parts, axis=2))
@@ -477,7 +483,7 @@ def momentum_channel(
         further[:, :, : columns.shape[2]] = columns
     standing = np.tile(np.eye(3), (windows.rows.size, 1, 1))  # an attitude error that stands still leans the momentum
     own = np.concatenate([unresolved(windows), standing], axis=2)
-    everything = [further, own, *(c.jacobian for c in (*dynamic, *turning)), *blocks.values()]
+    everything = [further, own, *(c.jacobian[:, :, c.live] for c in (*dynamic, *turning)), *blocks.values()]
     noise = choose_noise(windows, residual, np.concatenate(everything, axis=2), problem.budget)
 
     def alone(columns: FloatArray) -> FloatArray:

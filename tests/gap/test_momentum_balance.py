@@ -19,7 +19,7 @@ from worlds import scenario_text
 
 from fluxtwin import diagnosing, diagnosis_page
 from fluxtwin.gap.channels import momentum
-from fluxtwin.gap.channels.momentum import MomentumChannel, plain_torques
+from fluxtwin.gap.channels.momentum import MomentumChannel, plain_torques, unresolved
 from fluxtwin.gap.channels.momentum_arcs import Arcs, Craft, Windows, _filled, arcs, windows
 from fluxtwin.gap.posterior.torques import Momentum, balanced
 from fluxtwin.gap.problem.problem import Budget, Problem, pose
@@ -236,6 +236,17 @@ def test_slow_torques_push_for_as_long_as_an_arc_lasts() -> None:
     found = Windows._slow_torques(windows, slice(None))
     for part, course in enumerate(([10.0, 20.0, 30.0], [-10.0, 0.0, 30.0], [10.0, 0.0, 30.0])):
         assert found[:, :, 3 * part : 3 * part + 3] == pytest.approx(np.eye(3) * np.array(course)[:, None, None])
+
+
+def test_torquers_that_turn_nothing_between_the_rows_leave_no_column() -> None:
+    """Only rounding would be in it, which differs between processors, and takes up a random direction of the residual."""
+    turns = np.array([1e-13, 1e-4, 0.0])
+    arcs: Any = SimpleNamespace(resolved=False, wheels_B=np.zeros((4, 3)), base=np.ones((4, 3)))
+    arcs.craft, arcs.held = SimpleNamespace(vehicle=None), np.zeros((4, 3), dtype=bool)
+    arcs.dipole_B_Am2 = np.arange(4.0)[:, None] * [1.0, 1.0, 0.0]
+    arcs.but = lambda held: SimpleNamespace(flown=lambda _: arcs.base + (held * turns).sum(axis=1)[:, None])
+    cut: Any = SimpleNamespace(arcs=arcs, rows=np.arange(4), chained=lambda columns: columns)
+    assert unresolved(cut) == pytest.approx(np.full((4, 3, 1), 1e-4), abs=1e-12)
 
 
 def test_a_perfect_record_balances(close) -> None:

@@ -93,6 +93,14 @@ class NoisePrior:
             total += (np.log(tau_s / usual_s) / log_sd) ** 2
         return -0.5 * float(total)
 
+    def log_ratio(self, sigma_nT: float, theta_rad: float) -> float:
+        """Log of the Bayes factor, at most 0, of noise so far beyond the budget against something unknown that looks like it
+        beside noise of the budget: the prior's density there over its mean. Less noise speaks for neither."""
+        above = [np.log(sigma_nT / self.sigma_nT) / self.sigma_log_sd]
+        if self.theta_rad and theta_rad > 0:
+            above.append(np.log(theta_rad / self.theta_rad) / self.theta_log_sd)
+        return min(0.0, 0.5 * float(sum(np.log(2.0) - max(one, 0.0) ** 2 for one in above)))
+
 
 def complete_budget(problem: Problem) -> Budget:
     """The budget of a problem with what was not declared filled in from the readings; `sources` says which.

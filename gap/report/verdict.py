@@ -77,10 +77,18 @@ class Work:
     @cached_property
     def known(self) -> float:
         """Probability that nothing, or what is named, is all there is: by what is left in the fit, and of held-out
-        samples."""
+        samples, and by the noise that it takes."""
         if not self.answer.result.named and not any(one.is_signal for one in self.flexible):
             return self.answer.known
-        return still_known(self.answer.known, self.prediction.log_ratio)
+        return still_known(self.answer.known, self.prediction.log_ratio + self.by_noise)
+
+    @cached_property
+    def by_noise(self) -> float:
+        """Log of the Bayes factor of the noise that the names take, as in `NoisePrior.log_ratio`; 0 where noise is named."""
+        if any(one.is_noise for one in self.flexible):
+            return 0.0
+        noise = self.answer.noise
+        return prior_of(complete_budget(self.problem)).log_ratio(noise.sigma_nT, noise.theta_rad)
 
     @property
     def in_readings(self) -> list[FoundEffect]:
@@ -278,11 +286,15 @@ def _alternatives(work: Work, one: FoundEffect) -> tuple[SignalEffect, ...]:
 
 def _what(work: Work, where: Place) -> str:
     """What an answer without a name says of the data."""
-    left, momentum = work.answer.left, work.momentum
-    if not left.structured and not work.answer.result.resembles:
-        names = len(work.answer.result.named)
+    answer, momentum = work.answer, work.momentum
+    left = answer.left
+    if not left.structured and not answer.result.resembles:
+        names = len(answer.result.named)
         several = words.several(names) if names > 1 and work.known >= 0.5 else None
-        return momentum.left.words or several or words.left_over(work.prediction.shrinkage(True))
+        louder = None
+        if work.by_noise < work.prediction.log_ratio and names:
+            louder = words.louder(answer.noise, complete_budget(work.problem))
+        return momentum.left.words or several or louder or words.left_over(work.prediction.shrinkage(True))
     return "; ".join(filter(None, (words.structure(left, where), momentum.left.words)))
 
 

@@ -15,6 +15,7 @@ from fluxtwin.calib.common.digits import plain
 from fluxtwin.calib.common.observability import listed
 from fluxtwin.gap.detectors.residual_structure import Structure
 from fluxtwin.gap.noise.choice import NoiseModel
+from fluxtwin.gap.problem.problem import Budget
 from fluxtwin.gap.records.diagnosis import Detectable, FoundEffect, MomentumGap, Place, Shrinkage
 from fluxtwin.sim.base.types import BoolArray, TimeArray
 from fluxtwin.sim.earth import epoch
@@ -138,6 +139,18 @@ def left_over(gap: Shrinkage) -> str:
         f"the best fit from the catalogue lowers the held-out residual from {gap.before_nT:.1f} to {gap.after_nT:.1f} nT "
         f"rms, where {gap.floor_with_effects_nT:.1f} nT are expected"
     )
+
+
+def louder(noise: NoiseModel, budget: Budget) -> str:
+    """Where the best fit would do, with more noise than there should be. budget: complete."""
+    white_nT = float(np.hypot(budget.noise_nT or 0.0, (budget.lsb_nT or 0.0) / np.sqrt(12.0)))
+    beyond = []
+    if noise.sigma_nT > white_nT:
+        beyond.append(f"white noise of {noise.sigma_nT:.3g} nT where {white_nT:.3g} nT were expected")
+    if budget.attitude_sigma_rad and noise.theta_rad > budget.attitude_sigma_rad:
+        error_deg, declared_deg = np.degrees([noise.theta_rad, budget.attitude_sigma_rad])
+        beyond.append(f"an attitude error of {error_deg:.2g} deg where {declared_deg:.2g} deg was declared")
+    return f"beside the best fit from the catalogue it takes {listed(beyond)}, and some other cause is more likely than that"
 
 
 def named(

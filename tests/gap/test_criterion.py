@@ -12,7 +12,9 @@ from scipy.stats import norm
 
 from fluxtwin.gap.detectors.finding import Finding
 from fluxtwin.gap.detectors.residual_structure import Structure
+from fluxtwin.gap.noise.choice import prior_of
 from fluxtwin.gap.posterior.explanations import likeliest, weighed
+from fluxtwin.gap.problem.problem import Budget
 from fluxtwin.gap.report import verdict
 from fluxtwin.gap.selection.criterion import (
     LOG_FURTHER,
@@ -171,6 +173,30 @@ def test_held_out_samples_multiply_the_odds() -> None:
     assert still_known(0.5, np.log(3.0)) == pytest.approx(0.75)
     odds = 3.0 * np.exp(0.5 * LOG_FURTHER)
     assert still_known(1.0 - 1e-12, np.log(3.0)) == pytest.approx(odds / (1.0 + odds))
+
+
+@pytest.mark.parametrize("times", [1.5, 3.0])
+def test_noise_beyond_its_budget_speaks_for_something_unknown(times: float) -> None:
+    """By the density of the prior there over its mean, by quadrature. Less noise and named noise speak for nothing."""
+    budget = Budget(10.0, 0.0, 1e-3, None, {})
+    prior = prior_of(budget)
+    log_size = np.linspace(-8.0, 8.0, 4001) * prior.theta_log_sd
+    density = np.exp([prior.log_density(10.0, 1e-3 * np.exp(one), 0.0) for one in log_size])
+    mean = np.sum(density * density) / np.sum(density)
+    noise_mean = np.sqrt(0.5)  # and that of the white noise, which is as declared
+    wanted = min(0.0, prior.log_density(10.0, times * 1e-3, 0.0) - np.log(mean * noise_mean))
+    assert prior.log_ratio(10.0, times * 1e-3) == pytest.approx(wanted, abs=1e-6)
+    assert prior.log_ratio(5.0, 1e-4) == 0.0
+
+    def by_noise(*found: Finding) -> float:
+        noise = SimpleNamespace(sigma_nT=10.0, theta_rad=times * 1e-3)
+        work: Any = SimpleNamespace(
+            flexible=found, answer=SimpleNamespace(noise=noise), problem=SimpleNamespace(budget=budget)
+        )
+        return verdict.Work.by_noise.func(work)
+
+    assert by_noise() == prior.log_ratio(10.0, times * 1e-3)
+    assert by_noise(Finding(ExcessNoise(), np.ones(1), np.ones(1), worth=100.0)) == 0.0
 
 
 @pytest.mark.parametrize(

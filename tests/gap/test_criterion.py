@@ -13,9 +13,10 @@ from scipy.stats import norm
 from fluxtwin.gap.detectors.finding import Finding
 from fluxtwin.gap.detectors.residual_structure import Structure
 from fluxtwin.gap.noise.choice import prior_of
+from fluxtwin.gap.noise.whitening import NoiseModel
 from fluxtwin.gap.posterior.explanations import likeliest, weighed
 from fluxtwin.gap.problem.problem import Budget
-from fluxtwin.gap.report import verdict
+from fluxtwin.gap.report import verdict, words
 from fluxtwin.gap.selection.criterion import (
     LOG_FURTHER,
     SHAPE,
@@ -196,6 +197,9 @@ def test_noise_beyond_its_budget_speaks_for_something_unknown(times: float) -> N
         return verdict.Work.by_noise.func(work)
 
     assert by_noise() == prior.log_ratio(10.0, times * 1e-3)
+    said = words.louder(NoiseModel(10.0, times * 1e-3, 0.0), budget)
+    assert f"takes an attitude error of {np.degrees(times * 1e-3):.2g} deg where 0.057 deg was declared, and" in said
+    assert "white noise of 13 nT where 10 nT were expected, and" in words.louder(NoiseModel(13.0, 1e-4, 0.0), budget)
     assert by_noise(Finding(ExcessNoise(), np.ones(1), np.ones(1), worth=100.0)) == 0.0
 
 

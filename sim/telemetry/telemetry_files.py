@@ -177,5 +177,5 @@ def _kind(path: Path | str) -> str:
 def refuse_toml(path: Path | str) -> None:
     """Raises BadInput for what by its name is a scenario, a calibration or a column map."""
     if Path(path).name.lower().endswith(".toml"):
-        wanted = f"a {_SUFFIXES} file; `fluxtwin simulate` makes one from a scenario"
+        wanted = "telemetry, as a .nc or .csv file; `fluxtwin simulate` makes it from a scenario"
         raise BadInput("is not telemetry but a scenario, a calibration or a column map", where=str(path), wanted=wanted)

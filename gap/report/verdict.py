@@ -21,7 +21,7 @@ from fluxtwin.gap.detectors.residual_structure import Structure
 from fluxtwin.gap.held_out.held_out import Prediction, floor_rms_nT
 from fluxtwin.gap.hypotheses.blocks import OWN_STAGES
 from fluxtwin.gap.hypotheses.candidates import OF_ERRORS
-from fluxtwin.gap.noise.choice import DECLARED, NoiseModel, RobustRows, complete_budget, prior_of
+from fluxtwin.gap.noise.choice import DECLARED, NoiseModel, RobustRows, complete_budget, noise_beside, prior_of
 from fluxtwin.gap.noise.robust_rows import CUT_SIGMA
 from fluxtwin.gap.posterior.explanations import Answer, signals_of
 from fluxtwin.gap.posterior.stated import as_stated, likelier_unknown
@@ -84,11 +84,20 @@ class Work:
 
     @cached_property
     def by_noise(self) -> float:
-        """Log of the Bayes factor of the noise that the names take, as in `NoisePrior.log_ratio`; 0 where noise is named."""
-        if any(one.is_noise for one in self.flexible):
+        """Log of the Bayes factor of the noise that the names take, as in `NoisePrior.log_ratio`; 0 where something is named
+        that is in that noise: noise of another kind, a walk."""
+        if not all(one.is_signal for one in self.flexible):
             return 0.0
-        noise = self.answer.noise
-        return prior_of(complete_budget(self.problem)).log_ratio(noise.sigma_nT, noise.theta_rad)
+        return prior_of(complete_budget(self.problem)).log_ratio(self.noise.sigma_nT, self.noise.theta_rad)
+
+    @cached_property
+    def noise(self) -> NoiseModel:
+        """Beside all that is named. The answer's own may be that of an explanation on the way."""
+        answer, prior = self.answer, prior_of(complete_budget(self.problem))
+        if prior.log_ratio(answer.noise.sigma_nT, answer.noise.theta_rad) == 0.0:
+            return answer.noise
+        active = [*answer.result.modelled, *answer.result.chosen, *signals_of(self.flexible)]
+        return noise_beside(self.problem, active).noise
 
     @property
     def in_readings(self) -> list[FoundEffect]:
@@ -293,7 +302,7 @@ def _what(work: Work, where: Place) -> str:
         several = words.several(names) if names > 1 and work.known >= 0.5 else None
         louder = None
         if work.by_noise < work.prediction.log_ratio and names:
-            louder = words.louder(answer.noise, complete_budget(work.problem))
+            louder = words.louder(work.noise, complete_budget(work.problem))
         return momentum.left.words or several or louder or words.left_over(work.prediction.shrinkage(True))
     return "; ".join(filter(None, (words.structure(left, where), momentum.left.words)))
 

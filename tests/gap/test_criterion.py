@@ -29,6 +29,7 @@ from fluxtwin.gap.selection.criterion import (
 )
 from fluxtwin.sim.effects.calibration import BiasRandomWalk
 from fluxtwin.sim.effects.digits import ExcessNoise
+from fluxtwin.sim.effects.response import QuadraticNonlinearity
 
 pytestmark = pytest.mark.property
 NOTHING = Structure(worth=0.0, drop=0.0, kind="none", words="")
@@ -191,9 +192,7 @@ def test_noise_beyond_its_budget_speaks_for_something_unknown(times: float) -> N
 
     def by_noise(*found: Finding) -> float:
         noise = SimpleNamespace(sigma_nT=10.0, theta_rad=times * 1e-3)
-        work: Any = SimpleNamespace(
-            flexible=found, answer=SimpleNamespace(noise=noise), problem=SimpleNamespace(budget=budget)
-        )
+        work: Any = SimpleNamespace(flexible=found, noise=noise, problem=SimpleNamespace(budget=budget))
         return verdict.Work.by_noise.func(work)
 
     assert by_noise() == prior.log_ratio(10.0, times * 1e-3)
@@ -201,6 +200,23 @@ def test_noise_beyond_its_budget_speaks_for_something_unknown(times: float) -> N
     assert f"takes an attitude error of {np.degrees(times * 1e-3):.2g} deg where 0.057 deg was declared, and" in said
     assert "white noise of 13 nT where 10 nT were expected, and" in words.louder(NoiseModel(13.0, 1e-4, 0.0), budget)
     assert by_noise(Finding(ExcessNoise(), np.ones(1), np.ones(1), worth=100.0)) == 0.0
+
+
+def test_the_noise_that_names_take_is_that_beside_all_of_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    """That of the answer may be of an explanation that had one name less."""
+    found = Finding(QuadraticNonlinearity(), np.ones(18), np.ones(18), worth=100.0)
+    asked: list[Any] = []
+    monkeypatch.setattr(verdict, "noise_beside", lambda _, on: asked.append(on) or SimpleNamespace(noise="beside"))
+    result = SimpleNamespace(modelled=[("bias", 1)], chosen=[("lag", 2)])
+    for theta_rad, wanted in ((4e-3, "beside"), (1e-3, None)):
+        own = NoiseModel(10.0, theta_rad, 0.0)
+        work: Any = SimpleNamespace(
+            answer=SimpleNamespace(noise=own, result=result),
+            problem=SimpleNamespace(budget=Budget(10.0, 0.0, 1e-3, None, {})),
+            flexible=[found],
+        )
+        assert verdict.Work.noise.func(work) == (wanted or own)
+    assert [len(on) for on in asked] == [3] and asked[0][2][0] is found.effect
 
 
 @pytest.mark.parametrize(

@@ -21,7 +21,15 @@ from fluxtwin.gap.detectors.residual_structure import Structure
 from fluxtwin.gap.held_out.held_out import Prediction, floor_rms_nT
 from fluxtwin.gap.hypotheses.blocks import OWN_STAGES
 from fluxtwin.gap.hypotheses.candidates import OF_ERRORS
-from fluxtwin.gap.noise.choice import DECLARED, NoiseModel, RobustRows, complete_budget, noise_beside, prior_of
+from fluxtwin.gap.noise.choice import (
+    DECLARED,
+    NoiseModel,
+    NoisePrior,
+    RobustRows,
+    complete_budget,
+    noise_beside,
+    prior_of,
+)
 from fluxtwin.gap.noise.robust_rows import CUT_SIGMA
 from fluxtwin.gap.posterior.explanations import Answer, signals_of
 from fluxtwin.gap.posterior.stated import as_stated, likelier_unknown
@@ -88,13 +96,18 @@ class Work:
         that is in that noise: noise of another kind, a walk."""
         if not all(one.is_signal for one in self.flexible):
             return 0.0
-        return prior_of(complete_budget(self.problem)).log_ratio(self.noise.sigma_nT, self.noise.theta_rad)
+        return self.prior.log_ratio(self.noise.sigma_nT, self.noise.theta_rad)
+
+    @cached_property
+    def prior(self) -> NoisePrior:
+        """Of the noise, by its budget."""
+        return prior_of(complete_budget(self.problem))
 
     @cached_property
     def noise(self) -> NoiseModel:
         """Beside all that is named. The answer's own may be that of an explanation on the way."""
-        answer, prior = self.answer, prior_of(complete_budget(self.problem))
-        if prior.log_ratio(answer.noise.sigma_nT, answer.noise.theta_rad) == 0.0:
+        answer = self.answer
+        if self.prior.log_ratio(answer.noise.sigma_nT, answer.noise.theta_rad) == 0.0:
             return answer.noise
         active = [*answer.result.modelled, *answer.result.chosen, *signals_of(self.flexible)]
         return noise_beside(self.problem, active).noise
@@ -301,8 +314,8 @@ def _what(work: Work, where: Place) -> str:
         names = len(answer.result.named)
         several = words.several(names) if names > 1 and work.known >= 0.5 else None
         louder = None
-        if work.by_noise < work.prediction.log_ratio and names:
-            louder = words.louder(work.noise, complete_budget(work.problem))
+        if names and work.by_noise < min(work.prediction.log_ratio, 0.0):
+            louder = words.louder(work.noise, work.prior)
         return momentum.left.words or several or louder or words.left_over(work.prediction.shrinkage(True))
     return "; ".join(filter(None, (words.structure(left, where), momentum.left.words)))
 

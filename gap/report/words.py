@@ -14,8 +14,7 @@ import numpy as np
 from fluxtwin.calib.common.digits import plain
 from fluxtwin.calib.common.observability import listed
 from fluxtwin.gap.detectors.residual_structure import Structure
-from fluxtwin.gap.noise.choice import NoiseModel
-from fluxtwin.gap.problem.problem import Budget
+from fluxtwin.gap.noise.choice import NoiseModel, NoisePrior
 from fluxtwin.gap.records.diagnosis import Detectable, FoundEffect, MomentumGap, Place, Shrinkage
 from fluxtwin.sim.base.types import BoolArray, TimeArray
 from fluxtwin.sim.earth import epoch
@@ -141,14 +140,13 @@ def left_over(gap: Shrinkage) -> str:
     )
 
 
-def louder(noise: NoiseModel, budget: Budget) -> str:
-    """Where the best fit would do, with more noise than there should be. budget: complete."""
-    white_nT = float(np.hypot(budget.noise_nT or 0.0, (budget.lsb_nT or 0.0) / np.sqrt(12.0)))
+def louder(noise: NoiseModel, prior: NoisePrior) -> str:
+    """Where the best fit would do, with more noise than there should be."""
     beyond = []
-    if noise.sigma_nT > white_nT:
-        beyond.append(f"white noise of {noise.sigma_nT:.3g} nT where {white_nT:.3g} nT were expected")
-    if budget.attitude_sigma_rad and noise.theta_rad > budget.attitude_sigma_rad:
-        error_deg, declared_deg = np.degrees([noise.theta_rad, budget.attitude_sigma_rad])
+    if noise.sigma_nT > prior.sigma_nT:
+        beyond.append(f"white noise of {noise.sigma_nT:.3g} nT where {prior.sigma_nT:.3g} nT were expected")
+    if prior.theta_rad and noise.theta_rad > prior.theta_rad:
+        error_deg, declared_deg = np.degrees([noise.theta_rad, prior.theta_rad])
         beyond.append(f"an attitude error of {error_deg:.2g} deg where {declared_deg:.2g} deg was declared")
     return f"beside the best fit from the catalogue it takes {listed(beyond)}, and some other cause is more likely than that"
 

@@ -192,13 +192,13 @@ def test_noise_beyond_its_budget_speaks_for_something_unknown(times: float) -> N
 
     def by_noise(*found: Finding) -> float:
         noise = SimpleNamespace(sigma_nT=10.0, theta_rad=times * 1e-3)
-        work: Any = SimpleNamespace(flexible=found, noise=noise, problem=SimpleNamespace(budget=budget))
+        work: Any = SimpleNamespace(flexible=found, noise=noise, prior=prior)
         return verdict.Work.by_noise.func(work)
 
     assert by_noise() == prior.log_ratio(10.0, times * 1e-3)
-    said = words.louder(NoiseModel(10.0, times * 1e-3, 0.0), budget)
+    said = words.louder(NoiseModel(10.0, times * 1e-3, 0.0), prior)
     assert f"takes an attitude error of {np.degrees(times * 1e-3):.2g} deg where 0.057 deg was declared, and" in said
-    assert "white noise of 13 nT where 10 nT were expected, and" in words.louder(NoiseModel(13.0, 1e-4, 0.0), budget)
+    assert "white noise of 13 nT where 10 nT were expected, and" in words.louder(NoiseModel(13.0, 1e-4, 0.0), prior)
     assert by_noise(Finding(ExcessNoise(), np.ones(1), np.ones(1), worth=100.0)) == 0.0
 
 
@@ -212,7 +212,8 @@ def test_the_noise_that_names_take_is_that_beside_all_of_them(monkeypatch: pytes
         own = NoiseModel(10.0, theta_rad, 0.0)
         work: Any = SimpleNamespace(
             answer=SimpleNamespace(noise=own, result=result),
-            problem=SimpleNamespace(budget=Budget(10.0, 0.0, 1e-3, None, {})),
+            problem=None,
+            prior=prior_of(Budget(10.0, 0.0, 1e-3, None, {})),
             flexible=[found],
         )
         assert verdict.Work.noise.func(work) == (wanted or own)

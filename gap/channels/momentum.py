@@ -27,7 +27,7 @@ from scipy.stats import norm
 from fluxtwin.calib.common.criterion import FALSE_ALARM
 from fluxtwin.gap.channels.momentum_arcs import Windows
 from fluxtwin.gap.hypotheses.candidates import Candidate, made
-from fluxtwin.gap.noise.choice import NoisePrior, prior_of
+from fluxtwin.gap.noise.choice import CLOSE, NoisePrior, prior_of
 from fluxtwin.gap.noise.whitening import Whitener
 from fluxtwin.gap.problem.problem import Budget, Problem
 from fluxtwin.gap.selection.refit import Channel, Fit
@@ -52,8 +52,6 @@ _FINEST_RAD = float(np.radians(0.002))
 """No attitude is taken to be better: what wheels do between rows, and short arcs, are not known better."""
 _ROUNDS = 3
 _NEAR = 4
-_CLOSE = 1e-3
-"""Of log likelihood, 0.04 standard deviations: no more noise is taken for less."""
 _SURE = 1e-5
 """Images are differences of two flights, right to 1e-8: a combination of them with less is not known to a thousandth."""
 _DEAD_RAD = 1e-9
@@ -195,7 +193,7 @@ def _climbed(
     places = sorted({*range(0, len(grid), _NEAR), grid.index(getattr(noise, name)), len(grid) - 1})
     while True:
         heights = [likelihood(replace(noise, **{name: grid[place]})) for place in places]
-        best = min(place for place, height in zip(places, heights, strict=True) if height >= max(heights) - _CLOSE)
+        best = min(place for place, height in zip(places, heights, strict=True) if height >= max(heights) - CLOSE)
         beside = [place for place in (best - 1, best + 1) if 0 <= place < len(grid) and place not in places]
         if not beside:
             return replace(noise, **{name: grid[best]})

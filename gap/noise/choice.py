@@ -57,7 +57,7 @@ _LONGEST_S = 3000.0
 """Half an orbit: an error with a longer memory is a constant turn, which calibrations take up."""
 _WIDE, _NARROW = float(np.log(4.0)), 0.1
 """In the logarithms of ratio and time constant: the longest step of the search, and that of differences."""
-_CLOSE = 1e-3
+CLOSE = 1e-3
 """In log likelihood, which is 0.04 standard deviations: no step is taken for less."""
 _DECIMALS = 6
 """Of the logarithms of ratio and time constant: further ones are rounding, and differ between processors."""
@@ -390,10 +390,10 @@ def _climbed(likelihood: Likelihood, ratio: float, tau_s: float) -> tuple[Choice
         along = vector.T @ slope
         # Newton's step, no longer than wide, and uphill where the surface is hollow.
         move = vector @ (along / np.maximum(value, np.maximum(np.abs(along) / _WIDE, 1e-12)))
-        while slope @ move > 2.0 * _CLOSE:
+        while slope @ move > 2.0 * CLOSE:
             further = np.clip(np.round(place + move, _DECIMALS), low, high)
             found = at(further)
-            if found.log_posterior > here + _CLOSE:
+            if found.log_posterior > here + CLOSE:
                 break
             move = 0.5 * move
         else:

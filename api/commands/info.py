@@ -24,13 +24,14 @@ def command(
 
     For a foreign file without --map, only the header is listed.
     """
-    with output.progress(f"reading {files[0]}"):
-        from fluxtwin.describing import info
+    output.claim({}, [*files, *reading.files])
+    found = []
+    for path in files:  # what was read is shown, though a later one cannot be read
+        with output.progress(f"reading {path}"):
+            from fluxtwin.describing import info
 
-        output.claim({}, [*files, *reading.files])
-        found = [info(path, **reading._asdict()) for path in files]
-    for one in found:
-        _print(output, one)
+            found.append(info(path, **reading._asdict()))
+        _print(output, found[-1])
     output.result({"files": [one.to_dict() for one in found]})
 
 

@@ -441,8 +441,8 @@ def fit(block: Block, left: ProjectedResidual) -> BlockFit:
     return BlockFit(block, free.T @ free, free.T @ left.residual, size, left.least_share)
 
 
-_Some = tuple[Sequence[Block], FloatArray]
-"""Blocks, and (3N, k) their columns, whitened."""
+_Some = tuple[Sequence[Block], FloatArray, list[slice], list[FloatArray]]
+"""Blocks, (3N, k) their columns, whitened, and of each block its columns among them and its Gram matrix."""
 
 
 class Dictionary:
@@ -476,7 +476,9 @@ class Dictionary:
             made = np.concatenate([block.make() for block in blocks[first : first + _TOGETHER]], axis=2)
             begin, end = end, end + made.shape[2]
             white[:, begin:end] = whitener.apply(made).reshape(-1, made.shape[2])
-        return blocks, white
+        ends = np.cumsum([0, *(len(block.axes) for block in blocks)]).tolist()
+        places = [slice(*pair) for pair in pairwise(ends)]
+        return blocks, white, places, [white[:, here].T @ white[:, here] for here in places]
 
     def fits(self, left: ProjectedResidual) -> list[BlockFit]:
         """`fit` for each block."""
@@ -486,10 +488,7 @@ class Dictionary:
         """`fits` for each of some residuals that were whitened alike."""
         found: list[list[BlockFit]] = [[] for _ in lefts]
         targets = [np.column_stack([left.basis, left.residual]) for left in lefts]
-        for blocks, white in self._white(lefts[0].whitener):
-            ends = np.cumsum([0, *(len(block.axes) for block in blocks)]).tolist()
-            places = [slice(*pair) for pair in pairwise(ends)]
-            grams = [white[:, here].T @ white[:, here] for here in places]
+        for blocks, white, places, grams in self._white(lefts[0].whitener):
             for left, target, fits in zip(lefts, targets, found, strict=True):
                 along = white.T @ target
                 for block, here, gram in zip(blocks, places, grams, strict=True):

@@ -58,6 +58,11 @@ def test_info_lists_the_header_of_a_foreign_file(cli: Cli, tmp_path: Path) -> No
     assert cli("info", tmp_path / "none.csv").status == 2
 
 
+def test_info_shows_what_it_read_before_a_file_that_it_cannot_read(cli: Cli, file: Path, tmp_path: Path) -> None:
+    done = cli("info", file, tmp_path / "none.csv")
+    assert done.status == 2 and "t.csv: 21 rows" in done.out and "none.csv" in done.err
+
+
 def test_convert_keeps_every_number_of_the_rows_it_takes(cli: Cli, file: Path, tmp_path: Path) -> None:
     done = cli(
         "convert", file, "--out", tmp_path / "t.nc", "--from", "2026-03-01T00:16:40Z", "--where", "mag_x_uT < 20.15"

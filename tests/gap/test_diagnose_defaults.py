@@ -127,6 +127,7 @@ def test_outliers_are_a_finding(record: Telemetry) -> None:
     assert found.samples["cut"] == 12
     assert "12 rows have outliers of more than six sigma, from 2026-03-01T00:16:40" in found.sentence
     assert "apart from these rows there is no gap" in found.sentence
+    assert found.law is None and "law" not in found.sentence, "of what is as expected there is none to look for"
 
 
 def test_outliers_of_a_long_record_are_counted_in_every_row(monkeypatch: pytest.MonkeyPatch) -> None:

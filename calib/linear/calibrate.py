@@ -39,6 +39,7 @@ from fluxtwin.calib.common.records import Calibration, TelemetryBias, seconds_of
 from fluxtwin.calib.common.regression import Regression, regress, residuals
 from fluxtwin.calib.common.robust import outlier_words, rows_to_keep
 from fluxtwin.calib.linear.covariance_report import report_covariance
+from fluxtwin.calib.linear.estimating_equations import turned_rad2
 from fluxtwin.calib.linear.problem import LinearProblem, Solution
 from fluxtwin.sim.base.errors import BadInput, NoAnswer
 from fluxtwin.sim.base.types import FloatArray
@@ -285,17 +286,11 @@ def _shortening(problem: LinearProblem, residual_nT: FloatArray) -> FloatArray |
     A turn keeps the length, so that the mean of the turned field falls short: S11 + S22 + S33 of half a degree by
     1e-4, many of its sigmas. What white noise adds to the square is off it; None where no more than that is there.
     """
-    H = problem.design.H_nT
-    size2 = np.maximum((H**2).sum(axis=1), 1e-6)
-    along = np.einsum("ij,ij->i", residual_nT, H)
-    variance = problem.noise.variance_nT2
-    noise = variance.sum() - (H**2 @ variance) / size2
-    across = (residual_nT**2).sum(axis=1) - along**2 / size2
-    share = (across - noise) / (2.0 * size2)
+    share = turned_rad2(problem, residual_nT)
     mean = float(problem.weights @ share)
     if mean < 3.0 * float(np.sqrt(problem.weights @ (share - mean) ** 2 / problem.effective)):
         return None
-    return np.asarray(H * share[:, None])
+    return np.asarray(problem.design.H_nT * share[:, None])
 
 
 def _calibration(problem: LinearProblem, M: FloatArray, c: FloatArray) -> Calibration:

@@ -32,8 +32,17 @@ from fluxtwin.calib.common.covariance import (
 )
 from fluxtwin.calib.common.digits import plain
 from fluxtwin.calib.common.error_model import DECLARED, FOUND, ErrorModel, Posterior, find_errors
+from fluxtwin.calib.common.records import seconds_of
 from fluxtwin.calib.common.shrinkage import grown, half_of, in_units_of
-from fluxtwin.calib.linear.estimating_equations import Spread, evidence, of_blocks, spread_of, sums, white_of
+from fluxtwin.calib.linear.estimating_equations import (
+    Spread,
+    evidence,
+    of_blocks,
+    spread_of,
+    sums,
+    turned_rad2,
+    white_of,
+)
 from fluxtwin.calib.linear.problem import LinearProblem, Solution
 from fluxtwin.sim.base.types import FloatArray
 
@@ -151,8 +160,14 @@ def _error_model(problem: LinearProblem, solution: Solution, posterior: Posterio
     """In the words of a reader."""
     options = problem.options
     sigma = float(np.median(posterior.sigma_nT))
-    attitude = np.hypot(posterior.theta_rad, posterior.white_theta_rad)
-    theta, white = float(np.median(posterior.theta_rad)), float(np.median(posterior.white_theta_rad))
+    white, brief_s = _of_rows(problem, solution, posterior)
+    attitude = np.hypot(posterior.theta_rad, white)
+    lasts, tau_s = (
+        float(np.mean(posterior.theta_rad**2 / np.maximum(attitude**2, 1e-300))),
+        float(np.median(posterior.tau_s)),
+    )
+    if brief_s > 0.0:  # of one error the cells may see the longer part and the shorter one
+        tau_s = lasts * tau_s + (1.0 - lasts) * brief_s
     declared = options.attitude_sigma_deg is not None
     low, high = np.degrees(np.quantile(attitude, [0.05, 0.95]))
     variance = np.diag(white_of(problem, solution))  # of the readings alone: sigma also takes what is not modelled
@@ -164,13 +179,36 @@ def _error_model(problem: LinearProblem, solution: Solution, posterior: Posterio
         white_source=DECLARED if options.noise_nT is not None else FOUND,
         expected_rms_nT=float(np.sqrt(variance.mean() + across**2)),
         attitude_sigma_deg=float(np.degrees(middle)),
-        attitude_tau_s=float(np.median(posterior.tau_s)) if theta > white else 0.0,
+        attitude_tau_s=tau_s if brief_s > 0.0 or lasts > 0.5 else 0.0,
         attitude_source=DECLARED if declared else FOUND,
         attitude_range_deg=(float(low), float(high)),
         slow_nT=float(np.median(posterior.slow_nT)),
         slow_tau_s=float(np.median(posterior.slow_tau_s)),
         misfit=misfit,
     )
+
+
+def _of_rows(problem: LinearProblem, solution: Solution, posterior: Posterior) -> tuple[FloatArray, float]:
+    """(n,) the attitude error that is white to the cells of the likelihood as it is in a row [rad], and its time constant
+    [s]; 0: white to the rows, too.
+
+    To cells that last longer than an error it is as strong as its integral over time. In a row it is no larger than the
+    residual shows.
+    """
+    share = turned_rad2(problem, solution.residual_nT, measured=True)
+    mean = float(problem.weights @ share)
+    integral2 = float(np.median(posterior.white_theta_rad)) ** 2
+    longer = max(integral2 / mean, 1.0) if mean > 0.0 else 1.0
+    # The squares of a first-order process are correlated, too.
+    sd = float(np.sqrt(problem.weights @ (share - mean) ** 2 / problem.effective * 0.5 * (longer + 1.0 / longer)))
+    seen2 = mean + sd * np.random.default_rng(0).normal(size=posterior.theta_rad.size)
+    white2 = np.clip(seen2 - posterior.theta_rad**2, 0.0, posterior.white_theta_rad**2)
+    white = float(np.median(white2))
+    half_step_s = 0.5 * float(np.median(np.diff(seconds_of(problem.design.time))))
+    # Of rows with a common error the ratio is coth(step / 2 tau). One of less than half a step is white to them.
+    if problem.options.attitude_tau_s == 0.0 or not white > 0.0 or integral2 < white / np.tanh(1.0):
+        return np.sqrt(white2), 0.0
+    return np.sqrt(white2), half_step_s / float(np.arctanh(white / integral2))
 
 
 def _error_words(errors: ErrorModel) -> str:

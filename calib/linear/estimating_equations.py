@@ -62,6 +62,22 @@ def white_of(problem: LinearProblem, solution: Solution) -> FloatArray:
     return np.asarray(solution.M[:, :3] @ W @ solution.M[:, :3].T) if problem.linear else W
 
 
+def turned_rad2(problem: LinearProblem, residual_nT: FloatArray, *, measured: bool = False) -> FloatArray:
+    """(N,) mean square turn about an axis in each row: the residual across the field, without what noise adds to it.
+
+    residual_nT: (N, 3) on the side of the true field. measured: the noise is as large as the residual along the field is,
+    where a turn does nothing; else as declared or found.
+    """
+    H, variance = problem.design.H_nT, problem.noise.variance_nT2
+    size2 = np.maximum((H**2).sum(axis=1), 1e-6)
+    along2 = np.einsum("ij,ij->i", residual_nT, H) ** 2 / size2
+    noise_along = (H**2 @ variance) / size2
+    noise = variance.sum() - noise_along
+    if measured:
+        noise = noise * float(problem.weights @ along2) / max(float(problem.weights @ noise_along), 1e-12)
+    return np.asarray(((residual_nT**2).sum(axis=1) - along2 - noise) / (2.0 * size2))
+
+
 def evidence(problem: LinearProblem, solution: Solution, kept: np.ndarray) -> LikelihoodCells:
     """Cells for the likelihood, in which the field hardly turns; of a long record stretches. kept: (N,) rows."""
     rows, length_s = _looked_at(problem, np.flatnonzero(kept))

@@ -110,6 +110,30 @@ def test_the_attitude_error_is_found_and_can_be_declared() -> None:
     assert declared.attitude_source == "declared"
 
 
+@pytest.mark.parametrize("memory", [0.1, 1.0, 3.0, 10.0])
+def test_an_attitude_error_of_a_few_rows_is_no_larger_than_it_is(memory: float) -> None:
+    """0.1 deg over a tenth of a row to ten rows, in 7,200 rows: shorter than the cells in which errors are sought, where it
+    is as strong as its integral. coth(1 / 2 memory) rows are one, so that its size is known to 1.3 % at ten rows, and to
+    more as the noise is taken off; four of those."""
+    rng = np.random.default_rng(12)
+    seconds = 10.0 * np.arange(7200.0)
+    field = orbiting(seconds)
+    reference = turned(field, np.radians(0.1) * markov(7200, memory, rng))
+    design = rows_of(seconds, read(field, 20.0, rng), reference)
+    fit = fit_design(design, LinearOptions(robust="none"))
+    errors = fit.error_model
+    assert errors is not None and errors.attitude_range_deg is not None and errors.attitude_tau_s is not None
+    assert errors.attitude_sigma_deg == pytest.approx(0.1, rel=0.06)
+    low, high = errors.attitude_range_deg
+    assert 0.94 < low / 0.1 < high / 0.1 < 1.07
+    left_nT = float(np.sqrt((fit.residuals_nT**2).mean()))
+    assert errors.expected_rms_nT == pytest.approx(left_nT, rel=0.02), "what is said to be expected is what is there"
+    if memory < 0.5:
+        assert errors.attitude_tau_s == 0.0
+    else:
+        assert errors.attitude_tau_s == pytest.approx(10.0 * memory, rel=0.35)
+
+
 def test_slow_attitude_errors_leave_the_sigmas_right() -> None:
     """0.3 deg over 1500 s in five hours, nothing declared: 12 records. Mean square of the pulls and mean NEES scatter by
     sqrt(2/12) at most (wholly correlated parameters): within 1 +- 1.2, three of those. The differences S13 - S31 and the

@@ -36,6 +36,7 @@ CATALOGUE: tuple[Effect, ...] = (
     reference_attitude.HorizonScannerBias(),
     reference_attitude.YawDrift(),
     reference_attitude.AttitudeStep(),
+    reference_attitude.AttitudeLag(),
     spacecraft_field.TorquerCoupling(),
     spacecraft_field.SolarArrayCurrent(),
     spacecraft_field.StrayField(),

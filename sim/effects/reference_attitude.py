@@ -179,6 +179,36 @@ class AttitudeStep(TurningStep):
         return signal.attitude_reported_turned(self.turns_rad(signal.setting, theta))
 
 
+@dataclass(frozen=True)
+class AttitudeLag(SignalEffect):
+    """The reported attitude is that of an earlier moment.
+
+    Position and reading are right at the stamp.
+    """
+
+    name = "attitude_lag"
+    stage = "attitude"
+    frame = "body"
+    follows = "rate"
+    settled_by = "slews about several axes, over an orbit or more"
+    about = (
+        "the reported attitude was that of the body so long before the stamp: sensors that integrate, filters and the way "
+        "to the telemetry take time (star trackers some 0.1 s: Advances in Space Research 72, 200, 2023; a whole cycle of "
+        "the software, if the last known attitude is reported)"
+    )
+    parameters = (Parameter("lag", "s", 0.5, -600.0, 600.0),)
+
+    def untestable(self, setting: Setting) -> str | None:
+        return "one row alone shows no motion" if setting.time.size < 2 else None
+
+    def apply(self, signal: Signal, theta: FloatArray) -> Signal:
+        motion, lag_s, simulated = signal.setting.motion, float(theta[0]), signal.setting.direction == "simulate"
+        # The reported one is that of the true motion earlier, the true one that of the reported motion later.
+        then, now = (motion.at(offset_s)[2] for offset_s in (-lag_s if simulated else lag_s, 0.0))
+        turn = (then * now.inv()).as_rotvec()
+        return signal.attitude_reported_turned(turn if simulated else -turn)
+
+
 def _nadir_B(R_BN: Rotation, r_N_km: FloatArray) -> FloatArray:
     """(N, 3) unit vectors to the Earth's centre, body axes."""
     return np.asarray(R_BN.apply(-r_N_km / np.linalg.norm(r_N_km, axis=1)[:, None]))

@@ -206,6 +206,15 @@ def test_a_late_clock_and_a_wrong_place_are_told_apart_in_wide_librations(effect
     assert abs(parameter.value - expected) < 4.0 * parameter.sigma
 
 
+def test_a_late_attitude_is_neither_the_clock_nor_the_orbit() -> None:
+    """To move the readings and the positions later by as much would do the same, with two causes."""
+    late = "[effects.attitude_lag]\nlag_s = 4.0\n"
+    found = diagnose(flown_sharp(TUMBLE, 0.1, 300.0, 1500, 8.0, 17, late), load_field("igrf14"), budget=SHARP)
+    assert [one.name for one in found.effects] == ["attitude_lag"], found.sentence
+    lag = found.effects[0].parameters["lag"]
+    assert lag.sigma is not None and abs(lag.value - 4.0) < 4.0 * lag.sigma
+
+
 def test_the_direction_of_the_sun_is_a_condition_only_where_the_body_turns() -> None:
     names = {}
     for motion in (STILL, TUMBLE):

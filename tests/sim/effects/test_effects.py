@@ -116,6 +116,7 @@ STAGE_OF = {
     "horizon_scanner_bias": "attitude",
     "yaw_drift": "attitude",
     "attitude_step": "attitude",
+    "attitude_lag": "attitude",
     "stray_field": "spacecraft",
 }
 """The names that are promised, and where in the chain each acts."""
@@ -141,6 +142,7 @@ NOT_EXACT_NT = {
     # 45,000 nT that is 2e-5 nT; at the ends, where fits are one-sided, ten times that.
     "time_tag_offset": 1e-3,
     "axis_skew": 1e-3,
+    "attitude_lag": 1e-3,
     "eddy_current": 1e-4,
     "sensor_lag": 1e-3,
     # The history is that of the smoothed attitudes.

@@ -17,6 +17,7 @@ from fluxtwin.sim.effects.ambient_field import FieldEpoch, FieldTruncation, Ring
 from fluxtwin.sim.effects.chain import Chain
 from fluxtwin.sim.effects.clock_and_orbit import AlongTrackError
 from fluxtwin.sim.effects.reference_attitude import (
+    AttitudeLag,
     HorizonScannerBias,
     SunSensorHeadMisalignment,
     YawDrift,
@@ -292,6 +293,18 @@ def test_yaw_drift_offers_body_z_where_the_body_leans():
         ("always", "body_z"),
         ("eclipse", "body_z"),
     ]
+
+
+def test_a_late_attitude_is_behind_the_motion(close):
+    """A body that turns about its z at 0.5 deg/s is reported 3.5 deg behind by 7 s; other axes are not touched."""
+    seconds = np.arange(0.0, 1201.0, 10.0)
+    at_rest = setting_at(seconds)
+    turned = Rotation.from_rotvec(np.outer(np.radians(-0.5) * seconds, [0.0, 0.0, 1.0]))  # vectors, against the axes
+    setting = setting_at(seconds, R_BO=turned * at_rest.R_ON.inv())
+    signal = Chain(setting).simulated([(AttitudeLag(), np.array([7.0]))], seed=0)
+    behind = np.degrees((signal.R_reported_BN * signal.R_BN.inv()).as_rotvec())
+    close(behind, [0.0, 0.0, 3.5], atol=1e-6, unit="deg", because="a steady rotation between the stamps")
+    assert signal.r_reported_N_km is setting.given[0] and not np.any(signal.sample_offset_s)
 
 
 @pytest.mark.parametrize("spacing_s", [60.0, 7.0])

@@ -181,7 +181,7 @@ class AttitudeStep(TurningStep):
 
 @dataclass(frozen=True)
 class AttitudeLag(SignalEffect):
-    """The reported attitude is that of an earlier moment.
+    """The attitude is older than its time stamp.
 
     Position and reading are right at the stamp.
     """

@@ -34,9 +34,9 @@ from fluxtwin.sim.telemetry.record import Telemetry, recorded_columns
 F = TypeVar("F", bound=Fit)
 Columns = Mapping[str, FloatArray]
 """(n,) by name, in the rows that are fitted."""
-Drops = Callable[[F, Columns, str, FloatArray], FloatArray]
-"""From a fit, its columns, the name of one and (n, c) what may stand in its place: by how much each lowers chi-square, (c,),
-beside everything else that is fitted."""
+Drops = Callable[[F, Columns, Columns, str, FloatArray], FloatArray]
+"""From a fit, its columns, what these are by now, the name of one and (n, c) what may stand in its place: by how much each
+lowers chi-square, (c,), beside everything else that is fitted."""
 
 EVERY = "all"
 _LEAST_LEFT = 1e-8
@@ -191,17 +191,17 @@ def _lateness(asked: Asked, rows: np.ndarray, whole: F, columns: Columns, drops:
     known = dict(columns)
     for name in columns:
         raw, tried = asked.columns[name], lateness_tried(asked.time_s)
-        values = drops(whole, known, name, _moved(asked, raw, tried)[rows])
+        values = drops(whole, columns, known, name, _moved(asked, raw, tried)[rows])
         best = _likeliest(values)
         if values[best] - values[0] <= 2.0 * np.log(len(tried)):
             continue
         at, top = tried[best], float(values[best])
         for moves in (None, None, *_MOVES):
             near = lateness_near(*at) if moves is None else _near(at, _GRID, moves)
-            values = drops(whole, known, name, _moved(asked, raw, near)[rows])
+            values = drops(whole, columns, known, name, _moved(asked, raw, near)[rows])
             if values.max() > top + _BETTER:
                 at, top = near[_likeliest(values)], float(values.max())
-        lower = top - drops(whole, known, name, _moved(asked, raw, _near(at, _GRID, _WIDE))[rows])
+        lower = top - drops(whole, columns, known, name, _moved(asked, raw, _near(at, _GRID, _WIDE))[rows])
         found[name] = _Late(*at, tuple(_near(at, _one_sigma(lower.reshape(3, 3)), _WIDE)))
         known[name] = late(asked.time_s, raw, *at)[rows]
     return found
@@ -260,27 +260,57 @@ def _with_lateness(fit: F, found: Mapping[str, _Late], again: Callable[[str, tup
 
 
 def drawn_in(residual: FloatArray, kept: np.ndarray) -> FloatArray:
-    """(N, k) what the residual is beyond five times its usual size, by the rows that are kept; zero elsewhere.
-
-    A row that a late column leaves far off is not set aside when lateness is looked for, nor may an outlier rule it.
-    """
-    limit = _FAR * 1.4826 * np.median(np.abs(residual[kept]), axis=0)
+    """(N, k) what the residual is beyond five times its usual size, by the rows that are kept; zero elsewhere."""
+    limit = _far(residual, kept)
     return np.asarray(residual - np.clip(residual, -limit, limit))
 
 
-def drops_of(gram: FloatArray, fixed: int) -> FloatArray:
+def _far(residual: FloatArray, kept: np.ndarray) -> FloatArray:
+    return np.asarray(_FAR * 1.4826 * np.median(np.abs(residual[kept]), axis=0))
+
+
+def to_explain(
+    error: FloatArray,
+    kept: np.ndarray,
+    fields: Mapping[str, FloatArray],
+    of_fit: Columns,
+    now: Columns,
+    name: str,
+    tried: FloatArray,
+) -> FloatArray:
+    """(N, k, 1 + c) what is left of the reading for a column `name`, as it is now and with each of `tried` (N, c) in its
+    place; (N, k, 1) where that is the same for all.
+
+    error: (N, k) of the reading beside a fit, with fields (k,) or (N, k) of a unit of its columns `of_fit`; kept: (N,) its
+    rows that are no outliers. What lies far off is drawn in, lest an outlier rule; but whether it is far off is asked
+    beside what is tried. Beside the fit, rows that a strong field reaches late are far off, and drawn in they would
+    speak for the fit.
+    """
+    limit = _far(error, kept)[:, None]
+    error = error + sum(field * (of_fit[one] - now[one])[:, None] for one, field in fields.items())
+    own, field = now[name][:, None], fields[name][..., None]
+    whole = error[..., None] + field * own[:, None]
+    beside = whole - field * np.hstack([own, tried])[:, None]
+    far = beside - np.clip(beside, -limit, limit)
+    return np.asarray(whole - (far[..., :1] if (far == far[..., :1]).all() else far))
+
+
+def drops_of(gram: FloatArray, fixed: int, targets: int) -> FloatArray:
     """By how much blocks of three columns lower chi-square beside others.
 
-    gram: whitened products of the `fixed` others, of the blocks, and, last, of what is fitted.
+    gram: whitened products of the `fixed` others, of the blocks, and, last, of what is fitted: one target, or one beside
+    none of the blocks and one for each.
     """
     scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
     G = gram / np.outer(scale, scale)
     left = G[fixed:, fixed:] - G[fixed:, :fixed] @ np.linalg.pinv(G[:fixed, :fixed], hermitian=True) @ G[:fixed, fixed:]
-    found = []
-    for at in range(0, len(left) - 1, 3):
-        own = slice(at, at + 3)
-        found.append(left[own, -1] @ np.linalg.pinv(left[own, own], rcond=_LEAST_LEFT, hermitian=True) @ left[own, -1])
-    return np.asarray(np.array(found) * scale[-1] ** 2)
+    squares, found = np.diag(left)[-targets:] * scale[-targets:] ** 2, []
+    for k, at in enumerate(range(0, len(left) - targets, 3)):
+        own, of = slice(at, at + 3), 0 if targets == 1 else 1 + k
+        y = left[own, of - targets]
+        explained = y @ np.linalg.pinv(left[own, own], rcond=_LEAST_LEFT, hermitian=True) @ y
+        found.append(explained * scale[of - targets] ** 2 + squares[0] - squares[of])
+    return np.array(found)
 
 
 def distinguishable(columns: Mapping[str, FloatArray], others: FloatArray) -> tuple[tuple[str, ...], dict[str, str]]:

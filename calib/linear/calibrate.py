@@ -88,10 +88,8 @@ def calibrate_linear(records: Telemetry | Sequence[Telemetry], model: FieldModel
         again: dict[str, Any] = {"model_name": model.name, "weights": weights, "passes": passes}
         return _beside(used, options, *_weighted_fields(fit, used), noise=fit.noise, **again)
 
-    def drops(fit: LinearFit, columns: drivers.Columns, name: str, tried: FloatArray) -> FloatArray:
-        if fit.error_model is None:
-            return np.zeros(tried.shape[1])
-        return _drops(fit, design, columns, name, tried)
+    def drops(fit: LinearFit, *asked_of: Any) -> FloatArray:
+        return np.zeros(asked_of[-1].shape[1]) if fit.error_model is None else _drops(fit, design, *asked_of)
 
     others = [design.H_nT] if options.parameters != "b" else []
     others += [] if design.D_Am2 is None else [design.D_Am2]
@@ -177,7 +175,8 @@ def _weighted_fields(fit: LinearFit, design: Design) -> tuple[FloatArray, FloatA
     columns = np.stack(list(design.columns.values()), axis=1)
     unit = np.sqrt((columns**2).mean(axis=0))
     others = _others(fit, design)
-    gram = _products(fit, design, rows, [*others, *(columns / unit).T])
+    B_nT = (design.B_nT if fit.calibration.S.any() else design.B_nT - design.H_nT)[rows]
+    gram = _products(fit, design, rows, [*others, *(columns / unit).T], B_nT[:, :, None])
     fixed = 3 * len(others)
     scale = np.sqrt(np.diag(gram)[:-1])
     inverse = np.linalg.inv(gram[:-1, :-1] / np.outer(scale, scale)) / np.outer(scale, scale)
@@ -188,14 +187,18 @@ def _weighted_fields(fit: LinearFit, design: Design) -> tuple[FloatArray, FloatA
     return (found[fixed:] * per).reshape(-1, 3), covariance
 
 
-def _drops(fit: LinearFit, design: Design, columns: drivers.Columns, name: str, tried: FloatArray) -> FloatArray:
+def _drops(
+    fit: LinearFit, design: Design, of_fit: drivers.Columns, now: drivers.Columns, name: str, tried: FloatArray
+) -> FloatArray:
     """(c,) by how much each of `tried` (n, c) lowers chi-square in the place of the column `name`; see `drivers.Drops`."""
     rows = stretches(len(design), _SEARCHED)
-    back = np.linalg.inv(np.eye(3) + fit.calibration.S)
-    B = design.B_nT + drivers.drawn_in(fit.residuals_nT, fit.kept) @ back.T
-    design = replace(design, B_nT=B)
-    others = [*_others(fit, design), *(values for one, values in columns.items() if one != name)]
-    return drivers.drops_of(_products(fit, design, rows, [*others, *tried.T]), 3 * len(others))
+    error = -fit.residuals_nT[rows] @ np.linalg.inv(np.eye(3) + fit.calibration.S).T
+    fields = {one: bias.value_nT for one, bias in fit.calibration.telemetry_bias.items()}
+    here, there = ({one: values[rows] for one, values in columns.items()} for columns in (of_fit, now))
+    y = drivers.to_explain(error, fit.kept[rows], fields, here, there, name, tried[rows])
+    others = [*_others(fit, design), *(values for one, values in now.items() if one != name)]
+    gram = _products(fit, design, rows, [*others, *tried.T], y)
+    return drivers.drops_of(gram, 3 * len(others), y.shape[2])
 
 
 def _others(fit: LinearFit, design: Design) -> list[FloatArray]:
@@ -208,17 +211,20 @@ def _others(fit: LinearFit, design: Design) -> list[FloatArray]:
     return held
 
 
-def _products(fit: LinearFit, design: Design, rows: np.ndarray, parts: list[FloatArray]) -> FloatArray:
-    """(q, q) whitened products in some rows: of three columns, one an axis, for each part (N,), and of what is fitted."""
+def _products(
+    fit: LinearFit, design: Design, rows: np.ndarray, parts: list[FloatArray], y_nT: FloatArray
+) -> FloatArray:
+    """(q, q) whitened products in some rows: of three columns, one an axis, for each part (N,), and of what is fitted,
+    y_nT (n, 3, t) in these rows."""
     from fluxtwin.calib.common.error_kernels import whitened_gram
 
     errors = fit.error_model
     assert errors is not None
     H, seconds = design.H_nT[rows], seconds_of(design.time[rows])
-    columns = np.zeros((len(rows), 3, 3 * len(parts) + 1))
+    columns = np.zeros((len(rows), 3, 3 * len(parts) + y_nT.shape[2]))
     for axis in range(3):
-        columns[:, axis, axis:-1:3] = np.stack([part[rows] for part in parts], axis=1)
-    columns[:, :, -1] = design.B_nT[rows] if fit.calibration.S.any() else design.B_nT[rows] - H
+        columns[:, axis, axis : 3 * len(parts) : 3] = np.stack([part[rows] for part in parts], axis=1)
+    columns[:, :, 3 * len(parts) :] = y_nT
     U = np.ascontiguousarray(np.linalg.inv(np.eye(3) + fit.calibration.S) @ of_turns(H))
     gap = np.diff(seconds, prepend=seconds[0])
     theta, tau = np.radians(errors.attitude_sigma_deg or 0.0), errors.attitude_tau_s

@@ -117,15 +117,15 @@ def calibrate_scalar(records: Telemetry | Sequence[Telemetry], model: FieldModel
     def by(columns: drivers.Columns) -> ScalarFit:
         return fit_rows(replace(rows, columns={**own, **columns}), options, model_name=model.name, passes=labels)
 
-    def drops(fit: ScalarFit, columns: drivers.Columns, name: str, tried: FloatArray) -> FloatArray:
-        return _drops(fit, replace(rows, columns={**own, **columns}), name, tried)
+    def drops(fit: ScalarFit, of_fit: drivers.Columns, now: drivers.Columns, *tried: Any) -> FloatArray:
+        return _drops(fit, replace(rows, columns={**own, **of_fit}), {**own, **now}, *tried)
 
     field = rows.B_nT if options.parameters != "b" else np.zeros((len(rows), 0))
     fit = drivers.fitted(asked, rows.rows, np.column_stack([field, *own.values()]), by, drops)
     return with_warnings(fit, telemetry, robust=options.robust != "none")
 
 
-def _drops(fit: ScalarFit, rows: ScalarRows, name: str, tried: FloatArray) -> FloatArray:
+def _drops(fit: ScalarFit, rows: ScalarRows, now: drivers.Columns, name: str, tried: FloatArray) -> FloatArray:
     """(c,) by how much each of `tried` (n, c) lowers chi-square in the place of the column `name`; see `drivers.Drops`.
 
     |B| is taken as a linear function of the parameters about the fit: a turn of the field by a column does not show. Errors
@@ -134,9 +134,9 @@ def _drops(fit: ScalarFit, rows: ScalarRows, name: str, tried: FloatArray) -> Fl
     known, kept = fit.calibration, fit.kept
     true = known.apply(rows.B_nT, np.zeros_like(rows.B_nT), rows.columns)
     along = (true / np.linalg.norm(true, axis=1)[:, None]) @ (np.eye(3) + known.S)
-    y = (fit.residuals_nT - drivers.drawn_in(fit.residuals_nT, kept))[:, 0]
-    y += rows.columns[name] * (along @ known.telemetry_bias[name].value_nT)
-    others = [np.ones(len(rows)), *(values for one, values in rows.columns.items() if one != name)]
+    fields = {one: along @ bias.value_nT[:, None] for one, bias in known.telemetry_bias.items()}
+    y = drivers.to_explain(fit.residuals_nT, kept, fields, rows.columns, now, name, tried)[:, 0]
+    others = [np.ones(len(rows)), *(values for one, values in now.items() if one != name)]
     if known.S.any():
         others += list(rows.B_nT.T)
     parts = [along * part[:, None] for part in [*others, *tried.T]]
@@ -144,7 +144,7 @@ def _drops(fit: ScalarFit, rows: ScalarRows, name: str, tried: FloatArray) -> Fl
     step_s = float(np.median(np.diff(fit.time).astype("int64"))) * 1e-9
     memory = max(2.0 * fit.statistics.correlation_time_s / step_s, 1.0)
     left = float((fit.residuals_nT[kept] ** 2).mean())
-    return drivers.drops_of(seen.T @ seen / (left * memory), 3 * len(others))
+    return drivers.drops_of(seen.T @ seen / (left * memory), 3 * len(others), y.shape[1])
 
 
 def fit_rows(

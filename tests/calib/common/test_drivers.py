@@ -258,7 +258,7 @@ def test_a_column_of_noise_lowers_chi_square_by_half_its_parameters(close: Any) 
     fit = fit_of(record, method="scalar", parameters="b", driver=["x"])
     columns = {"driver_x": record.drivers["x"]}
     rows = assemble_scalar(record, load_field(), with_dipole=False, drivers=columns)
-    found = _drops(fit, rows, "driver_x", rng.normal(size=(ROWS, 400)))
+    found = _drops(fit, rows, columns, "driver_x", rng.normal(size=(ROWS, 400)))
     close(found.mean(), 1.5, atol=0.25, unit="1", because="four sigma of the mean")
 
 
@@ -445,14 +445,14 @@ def test_products_of_columns_are_those_of_generalized_least_squares() -> None:
     )
     fit: Any = SimpleNamespace(error_model=errors, calibration=SimpleNamespace(S=np.zeros((3, 3))))
     time = np.datetime64("2020-03-01", "ns") + 10_000_000_000 * np.arange(6)
-    design: Any = SimpleNamespace(H_nT=H, B_nT=B, time=time)
+    design: Any = SimpleNamespace(H_nT=H, time=time)
     wanted = np.zeros((4, 4))
     for field, reading, share in zip(H, B, part, strict=True):
         C = np.diag([400.0, 900.0, 1600.0])
         C += np.radians(0.1) ** 2 * (field @ field * np.eye(3) - np.outer(field, field))
         X = np.column_stack([share * np.eye(3), reading - field])
         wanted += X.T @ np.linalg.solve(C, X)
-    found = _products(fit, design, np.arange(6), [part])
+    found = _products(fit, design, np.arange(6), [part], (B - H)[:, :, None])
     assert found == pytest.approx(wanted, rel=1e-9, abs=1e-12)
 
 

@@ -23,13 +23,14 @@ from fluxtwin.calib.checks.evidence import (
     vector_evidence,
 )
 from fluxtwin.calib.checks.report import Finding, named, note
-from fluxtwin.calib.checks.sample import Origin, Sample
+from fluxtwin.calib.checks.sample import Sample
 from fluxtwin.sim.base.errors import OutOfRange
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import epoch, frames
 from fluxtwin.sim.earth.constants import EARTH_RATE_RAD_S
 from fluxtwin.sim.earth.field import FieldModel, field_N_nT
 from fluxtwin.sim.earth.tle import TleSeries, along_track_sigma_km
+from fluxtwin.sim.telemetry.origin import Origin
 from fluxtwin.sim.telemetry.record import Telemetry
 from fluxtwin.sim.telemetry.time_stamps import GPS_EPOCH
 

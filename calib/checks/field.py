@@ -25,6 +25,7 @@ from fluxtwin.calib.checks.clock import (
     readings_shift,
     shift_words,
     shifts_s,
+    still_off,
 )
 from fluxtwin.calib.checks.evidence import Evidence, MODEL_nT, scalar_evidence, vector_evidence
 from fluxtwin.calib.checks.orientation import FAR_BETTER, LOCAL, ORIENTATION, SINGLE_COST, Hypothesis, orientations
@@ -212,6 +213,7 @@ def _best(tried: list[Hypothesis], evidence: Evidence, misfit_nT: FloatArray) ->
     others = "; or ".join(rivals[:2])
     if one.shift_s:
         doubt = f". Nearly as likely: {others}" if rivals else ""
+        doubt = still_off(float(evidence.misfit_nT[best])) + doubt
         return named("clock", named_shift(one.shift_s, one.words, as_is, mended) + doubt), mended
     text = (
         f"as it stands the reading misses the model by {as_is:.0f} nT rms after a bias fit, but only by {mended:.0f} nT"

@@ -389,11 +389,23 @@ def test_what_cannot_be_tested_is_said(model: FieldModel) -> None:
     assert "outside_field_model" in {finding.code for finding in far.traps}
 
 
-def test_a_week_that_began_again_is_named(model: FieldModel) -> None:
-    record = good(model, 4)
-    found = check_telemetry(record.replace(time=record.time - np.timedelta64(1024, "W")), model)
+@pytest.mark.parametrize(("times", "year"), [(1, 1978), (2, 2026)])
+def test_a_week_that_began_again_is_named(times: int, year: int, model: FieldModel) -> None:
+    """The weeks began again in 1999 and in 2019, so that a receiver of the first kind is two rounds behind."""
+    record = good(model, 4, year=year, rows=150)
+    found = check_telemetry(record.replace(time=record.time - np.timedelta64(times * 1024, "W")), model)
     assert [finding.code for finding in found.traps] == ["clock"]
-    assert "1024 weeks too early" in found.traps[0].text and "time.offset_s = 619315200" in found.traps[0].text
+    assert f"{times * 1024} weeks too early" in found.traps[0].text
+    assert f"time.offset_s = {times * 619315200}" in found.traps[0].text
+    assert "more than a right clock" not in found.traps[0].text
+
+
+def test_a_shift_that_leaves_more_than_a_right_clock_would_is_doubted(model: FieldModel) -> None:
+    """Half a century off, a time of day that fits better is not what is wrong: the field itself has changed."""
+    record = good(model, 4, year=2026, mode="tumble")
+    moved = record.replace(time=record.time - np.timedelta64(3 * 1024, "W") - np.timedelta64(150, "m"))
+    (found,) = check_telemetry(moved, model).traps
+    assert found.code == "clock" and "more than a right clock" in found.text, found.text
 
 
 def test_what_was_not_compared_is_not_called_clean(model: FieldModel) -> None:

@@ -11,14 +11,13 @@ from collections.abc import Callable
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
-from typing import Any, Literal
 
 import numpy as np
 
 from fluxtwin.calib.checks.field import check_field
 from fluxtwin.calib.checks.outliers import check_outliers
 from fluxtwin.calib.checks.report import CheckReport, Finding, note, report, trap
-from fluxtwin.calib.checks.sample import Origin, comparable
+from fluxtwin.calib.checks.sample import comparable
 from fluxtwin.calib.checks.stuck import check_stuck
 from fluxtwin.calib.checks.unit import check_calibrated
 from fluxtwin.calib.checks.values import check_motion, check_readings
@@ -28,19 +27,12 @@ from fluxtwin.sim.base.limits import MAX_SAMPLES
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.earth.field import FieldModel
-from fluxtwin.sim.earth.tle import read_elements
 from fluxtwin.sim.telemetry.build import record
 from fluxtwin.sim.telemetry.column_map import (
-    ColumnMap,
-    ColumnSpec,
-    elements_path,
-    load_column_map,
     mapped_table,
     recognised,
 )
 from fluxtwin.sim.telemetry.columns import FileTable
-from fluxtwin.sim.telemetry.formats.ccsds import is_message
-from fluxtwin.sim.telemetry.quantities import BY_MAP_NAME
 from fluxtwin.sim.telemetry.record import Telemetry
 from fluxtwin.sim.telemetry.selection import Selection, selection
 from fluxtwin.sim.telemetry.telemetry_files import read_table, write_telemetry
@@ -106,20 +98,17 @@ _POSSIBLE: tuple[tuple[tuple[str, ...], Callable[[FloatArray], bool]], ...] = (
 )
 
 
-def check_telemetry(
-    telemetry: Telemetry, model: FieldModel, origin: Origin | None = None, *, onboard: Onboard | None = None
-) -> CheckReport:
+def check_telemetry(telemetry: Telemetry, model: FieldModel, *, onboard: Onboard | None = None) -> CheckReport:
     """Every check that the record's columns allow. Traps first in the report.
 
-    origin: what positions and attitude were made from; None: both were recorded relative to GCRS. onboard: what is said to
-    have been applied to the readings on board.
+    onboard: what is said to have been applied to the readings on board.
     """
-    stuck, faulty = check_stuck(telemetry, origin)
+    stuck, faulty = check_stuck(telemetry)
     motion = check_motion(telemetry)
     findings = [*stuck, *motion, *check_readings(telemetry)]
     lost = any(finding.severity == "trap" and finding.code in POSITION_TRAPS for finding in motion)
     if not lost and (telemetry.has_reading & ~faulty).any():
-        usable, against_field = _against_field(telemetry, model, origin or Origin(), ~faulty)
+        usable, against_field = _against_field(telemetry, model, ~faulty)
         if any(finding.code == "clock" and finding.severity == "trap" for finding in against_field):
             findings = [finding for finding in findings if finding.code != "sunlit_flag"]  # the sun is elsewhere, then
         if not any(finding.severity == "trap" for finding in against_field):
@@ -128,15 +117,13 @@ def check_telemetry(
     return report(telemetry.provenance.get("source", "telemetry"), len(telemetry), findings)
 
 
-def _against_field(
-    telemetry: Telemetry, model: FieldModel, origin: Origin, usable: BoolArray
-) -> tuple[BoolArray, list[Finding]]:
+def _against_field(telemetry: Telemetry, model: FieldModel, usable: BoolArray) -> tuple[BoolArray, list[Finding]]:
     """The findings of `check_field`, and the rows (N,) that they are of.
 
     Where a trap is named and torquers were on, it is looked for again in the rows in which they were off: what couples from
     them may be as large as the field.
     """
-    found = check_field(telemetry, model, origin, usable)
+    found = check_field(telemetry, model, usable)
     dipole = telemetry.dipole_B_Am2
     if dipole is None or not any(finding.severity == "trap" for finding in found):
         return usable, found
@@ -144,13 +131,13 @@ def _against_field(
     quiet = usable & ~on
     if not on.any() or int(quiet.sum()) < _QUIET_ROWS:
         return usable, found
-    again = check_field(telemetry, model, origin, quiet)
+    again = check_field(telemetry, model, quiet)
     if any(finding.severity == "trap" and finding.code != "outliers" for finding in again):
         return usable, found
     posed = comparable(telemetry, model, usable, with_attitude=True)
     if posed is not None:  # their field is fitted then, so that all rows can be looked at
         again = [finding for finding in again if finding.code not in ("outliers", "rough_readings")]
-        again = [*check_outliers(telemetry, posed, model, usable, origin)[0], *again]
+        again = [*check_outliers(telemetry, posed, model, usable)[0], *again]
     return quiet, [*again, note("torquers_on", on=int(on.sum()), rows=len(telemetry))]
 
 
@@ -187,11 +174,10 @@ def check_file(
     if blind:
         ordered.columns.update({f"mag_{axis}_nT": np.full(ordered.time.size, np.nan) for axis in "xyz"})
     telemetry = record(ordered, tle=None if mapped else tle, attitude=attitude).with_magnetometer(magnetometer)
-    origin = _origin(path, ordered, column_map, tle)
     inner = (
         [*check_motion(telemetry), note("no_magnetometer")]
         if blind
-        else check_telemetry(telemetry, model, origin, onboard=onboard).findings
+        else check_telemetry(telemetry, model, onboard=onboard).findings
     )
     notices = telemetry.provenance.get("notices", "").split("; ")
     how += [note("two_magnetometers", other=3 - magnetometer)] * (telemetry.mag2_B_nT is not None)
@@ -218,42 +204,6 @@ def _read(
     layout = packaged.layout
     taken = f", which takes {layout.taken_as}" if layout else ""
     return table, [note(RECOGNISED, layout=layout.name if layout else name, name=name, taken=taken)]
-
-
-def _origin(path: Path | str, table: FileTable, column_map: Path | str | None, tle: Path | str | None) -> Origin:
-    """What the stamps had a part in, from the columns of a file or from its map."""
-    loaded: ColumnMap | None = None if column_map is None else load_column_map(column_map)
-    stored: dict[str, Any] = {}
-    if loaded is not None and column_map is not None:
-        specs = {name: spec for entry in loaded.file for name, spec in entry.columns.items()}
-        position, attitude = specs.get("position"), specs.get("attitude")
-        fixed = position is not None and position.axes == "ITRS"
-        relative, first = (None, False) if attitude is None else (attitude.reference, attitude.order == "wxyz")
-        tle = elements_path(path, loaded, Path(column_map).parent, tle) if position is None else None
-        stored = {"conjugated": attitude is not None and attitude.sense == "conjugate", **_stored(specs.get("mag"))}
-    else:
-        fixed, first = "ecef_x_km" in table.columns, False
-        relative = "orbital" if "yaw_deg" in table.columns else None
-        tle = tle if not fixed and "r_x_km" not in table.columns else None
-    references: dict[str, Literal["ITRS", "NEC", "NED", "orbital"]] = {"ITRS": "ITRS", "NEC": "NEC", "NED": "NED"}
-    references |= {"orbital": "orbital", "sun_nadir": "orbital", "nadir_sun": "orbital"}
-    return Origin(
-        "ITRS" if fixed else "GCRS",
-        references.get(relative or "", "GCRS"),
-        first,
-        None if tle is None or is_message(Path(tle), "OEM") else read_elements(tle),
-        **stored,
-    )
-
-
-def _stored(mag: ColumnSpec | None) -> dict[str, Any]:
-    """What a map made of the stored readings, for `Origin`."""
-    if mag is None:
-        return {}
-    known = not isinstance(mag.scale, list) and not np.any(mag.offset)
-    unit_nT = BY_MAP_NAME["mag"].map_units.get(mag.unit or "", 1.0)
-    turned = {} if mag.matrix is None else {"matrix": tuple(map(tuple, mag.matrix))}
-    return {**turned, "count_nT": float(np.asarray(mag.scale)) * unit_nT if known else None}
 
 
 def repair(path: Path | str, out: Path | str, *, max_samples: int | None = None) -> CheckReport:

@@ -23,13 +23,15 @@ from fluxtwin.calib.checks.evidence import (
     vector_evidence,
 )
 from fluxtwin.calib.checks.report import Finding, named, note
-from fluxtwin.calib.checks.sample import Origin, Sample
+from fluxtwin.calib.checks.sample import Sample
+from fluxtwin.calib.checks.unit import SMALLEST_MISFIT_nT
 from fluxtwin.sim.base.errors import OutOfRange
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import epoch, frames
 from fluxtwin.sim.earth.constants import EARTH_RATE_RAD_S
 from fluxtwin.sim.earth.field import FieldModel, field_N_nT
 from fluxtwin.sim.earth.tle import TleSeries, along_track_sigma_km
+from fluxtwin.sim.telemetry.origin import Origin
 from fluxtwin.sim.telemetry.record import Telemetry
 from fluxtwin.sim.telemetry.time_stamps import GPS_EPOCH
 
@@ -71,7 +73,8 @@ def shifts_s(sample: Sample) -> dict[float, str]:
     out = {hours * 3600.0: "a time zone" for hours in HOURS}
     for seconds, words in leaps.items():
         out |= {seconds: words, -seconds: f"{words}, taken twice or with the wrong sign"}
-    out[-ROLLOVER_S] = "the GPS week counts to 1023 and began again"
+    again = "the GPS week counts to 1023 and began again"
+    out |= {-ROLLOVER_S: again, -2.0 * ROLLOVER_S: f"{again}, twice"}  # in 1999 and in 2019; next in 2038
     return out | {86400.0: "a day", -86400.0: "a day"}
 
 
@@ -173,7 +176,7 @@ def check_clock(sample: Sample, model: FieldModel, origin: Origin) -> list[Findi
         close = [shift for one, shift in likely if one > odds[best] - CLEAR and abs(shift - tried[best]) > near]
         unknown = [shift for shift in close if shift and shift not in shifts]  # neighbours: one stands for all
         close = [shift for shift in close if shift not in unknown[1:]]
-        return [named("clock", said + _ambiguous(close))]
+        return [named("clock", said + still_off(float(evidence.misfit_nT[best])) + _ambiguous(close))]
     # What a shift costs this record is what taking it back would gain one whose stamps are off by as much.
     gain = np.maximum(evidence.log[0] - evidence.log, 0.0)
     shows = gain - np.sqrt(2.0 * gain) > costs + CLEAR
@@ -218,6 +221,16 @@ def named_shift(shift_s: float, words: str, as_is_nT: float, mended_nT: float) -
         f"the stamps are {shift_words(shift_s)} too {'late' if shift_s > 0 else 'early'} ({words}): as they stand the "
         f"reading misses the model by {as_is_nT:.0f} nT rms after a fit, with {-shift_s:+.10g} s by {mended_nT:.0f} nT. "
         f"Add it in a column map: time.offset_s = {-shift_s:.10g}{zone}"
+    )
+
+
+def still_off(left_nT: float) -> str:
+    """Words of doubt about a shift with which a fit of S and b leaves more of a component [nT] than a right clock would."""
+    if left_nT <= SMALLEST_MISFIT_nT:
+        return ""
+    return (
+        f". But a fit of S and b then leaves {left_nT:.0f} nT, more than a right clock does: the date, the attitude or the "
+        "positions may be wrong instead"
     )
 
 
@@ -313,8 +326,8 @@ def readings_shift(sample: Sample, telemetry: Telemetry, model: FieldModel) -> t
 def shift_words(shift_s: float) -> str:
     """Its size, without the sign."""
     size = abs(shift_s)
-    if size == ROLLOVER_S:
-        return "1024 weeks"
+    if size >= ROLLOVER_S:
+        return f"{size / 604800.0:.0f} weeks"
     if size == 86400.0:
         return "1 day"
     if size % 1800.0 == 0.0:

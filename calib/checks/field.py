@@ -25,17 +25,19 @@ from fluxtwin.calib.checks.clock import (
     readings_shift,
     shift_words,
     shifts_s,
+    still_off,
 )
 from fluxtwin.calib.checks.evidence import Evidence, MODEL_nT, scalar_evidence, vector_evidence
 from fluxtwin.calib.checks.orientation import FAR_BETTER, LOCAL, ORIENTATION, SINGLE_COST, Hypothesis, orientations
 from fluxtwin.calib.checks.outliers import check_outliers, without_gross_outliers
 from fluxtwin.calib.checks.report import Finding, named, note, trap
-from fluxtwin.calib.checks.sample import FEWEST, MAX_ROWS, Origin, Sample, comparable, rms
+from fluxtwin.calib.checks.sample import FEWEST, MAX_ROWS, Sample, comparable, rms
 from fluxtwin.calib.checks.unit import SMALLEST_MISFIT_nT, blind_magnitude, check_unit
 from fluxtwin.sim.base.errors import OutOfRange
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.earth import frames, sun
 from fluxtwin.sim.earth.field import FieldModel, field_N_nT
+from fluxtwin.sim.telemetry.origin import Origin
 from fluxtwin.sim.telemetry.record import Telemetry
 
 SUN_MISFIT_DEG = 20.0
@@ -102,8 +104,9 @@ def _share_of_date(residual: FloatArray, shift: FloatArray, towards_B: FloatArra
     return [trap("attitude_of_date", share=100 * share, sigma=100 * sigma, seen=seen)]
 
 
-def check_field(telemetry: Telemetry, model: FieldModel, origin: Origin, usable: BoolArray) -> list[Finding]:
+def check_field(telemetry: Telemetry, model: FieldModel, usable: BoolArray) -> list[Finding]:
     """All checks of this module on the rows `usable` (N,); at most one trap."""
+    origin = telemetry.origin
     try:
         sample = comparable(telemetry, model, usable, with_attitude=False)
         posed = comparable(telemetry, model, usable, with_attitude=True)
@@ -111,7 +114,7 @@ def check_field(telemetry: Telemetry, model: FieldModel, origin: Origin, usable:
         unit = [finding for finding in blind_magnitude(telemetry) if finding.severity == "trap"]
         return [*unit, trap("outside_field_model", error=error)]
     if sample is None:
-        return [*blind_magnitude(telemetry), *check_outliers(telemetry, None, model, usable, origin)[0]]
+        return [*blind_magnitude(telemetry), *check_outliers(telemetry, None, model, usable)[0]]
     unit = check_unit(sample)
     if any(found.severity == "trap" for found in unit):  # a wrong unit must not look like a wrong attitude
         return [*unit, note("orientation_not_tested.unit")]
@@ -121,7 +124,7 @@ def check_field(telemetry: Telemetry, model: FieldModel, origin: Origin, usable:
     chosen = posed if posed is not None and with_attitude else sample
     if len(chosen) < FEWEST:
         return findings
-    outliers, faulty = check_outliers(telemetry, chosen, model, usable, origin)
+    outliers, faulty = check_outliers(telemetry, chosen, model, usable)
     chosen = without_gross_outliers(chosen.take(~faulty[chosen.rows]))
     compared = _by_vectors(chosen, telemetry, model, origin) if with_attitude else _by_size(chosen, model, origin)
     if not any(found.severity == "trap" for found in compared):
@@ -210,6 +213,7 @@ def _best(tried: list[Hypothesis], evidence: Evidence, misfit_nT: FloatArray) ->
     others = "; or ".join(rivals[:2])
     if one.shift_s:
         doubt = f". Nearly as likely: {others}" if rivals else ""
+        doubt = still_off(float(evidence.misfit_nT[best])) + doubt
         return named("clock", named_shift(one.shift_s, one.words, as_is, mended) + doubt), mended
     text = (
         f"as it stands the reading misses the model by {as_is:.0f} nT rms after a bias fit, but only by {mended:.0f} nT"

@@ -16,11 +16,12 @@ from functools import cache
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from fluxtwin.calib.checks.sample import Origin, Sample
+from fluxtwin.calib.checks.sample import Sample
 from fluxtwin.calib.common.conventions import best_turn
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import frames
 from fluxtwin.sim.earth.references import rotation_XN
+from fluxtwin.sim.telemetry.origin import Origin
 
 FAR_BETTER = 0.5
 """An alternative is named when it leaves at most half of the misfit."""

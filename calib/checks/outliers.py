@@ -12,7 +12,7 @@ import numpy as np
 
 from fluxtwin.calib.checks.evidence import FLAT, slope_of_form
 from fluxtwin.calib.checks.report import Finding, note, trap
-from fluxtwin.calib.checks.sample import Origin, Sample
+from fluxtwin.calib.checks.sample import Sample
 from fluxtwin.calib.checks.stuck import fill_words, least_step
 from fluxtwin.calib.common.digits import plain
 from fluxtwin.sim.base.types import BoolArray, FloatArray
@@ -46,7 +46,7 @@ def without_gross_outliers(sample: Sample) -> Sample:
 
 
 def check_outliers(
-    telemetry: Telemetry, sample: Sample | None, model: FieldModel, usable: BoolArray, origin: Origin
+    telemetry: Telemetry, sample: Sample | None, model: FieldModel, usable: BoolArray
 ) -> tuple[list[Finding], BoolArray]:
     """The trap `outliers` with its rows, or a note where readings are rough throughout; and which rows (N,) they are.
 
@@ -72,7 +72,7 @@ def check_outliers(
         f"{out.size} of {rows.size} readings stand out from their neighbours by {_from_to(size)} nT, "
         f"{_from_to(ratio[out])} times the scatter there"
     )
-    fill = fill_words(telemetry.mag_B_nT[where], origin)
+    fill = fill_words(telemetry.mag_B_nT[where], telemetry.origin)
     if out.size > max(FEW * rows.size, 3) or max(map(len, runs)) > LONGEST_RUN:
         blind = sample is None  # of |B| alone, how it curves from row to row may be all of that
         return [] if blind else [note("rough_readings", where, evidence=evidence, fill=fill)], mask

@@ -1,11 +1,9 @@
-"""The rows of a record that can be compared with the field model, and what their stamps have a part in."""
+"""The rows of a record that can be compared with the field model."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -14,35 +12,12 @@ from fluxtwin.calib.common.records import seconds_of
 from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
 from fluxtwin.sim.earth import frames
 from fluxtwin.sim.earth.field import FieldModel, field_N_nT
-from fluxtwin.sim.earth.tle import TleSeries
 from fluxtwin.sim.telemetry.build import velocity_from_positions
 from fluxtwin.sim.telemetry.record import Telemetry
 
 FEWEST = 20
 """Fewer rows are not compared."""
 MAX_ROWS = 3000
-
-
-@dataclass(frozen=True)
-class Origin:
-    """What a record's GCRS positions and attitude were made from with the help of its stamps.
-
-    A wrong stamp turns the Earth under a GCRS position; it leaves an Earth-fixed position in place, but turns what is
-    computed from it; and it moves a position that two-line elements gave along the orbit.
-    """
-
-    position: Literal["GCRS", "ITRS"] = "GCRS"
-    attitude: Literal["GCRS", "ITRS", "NEC", "NED", "orbital"] = "GCRS"
-    """What it was recorded relative to; for the stamps sun and nadir are as good as the orbital frame."""
-    scalar_first: bool = False
-    """The map took the quaternion's first component for the scalar."""
-    elements: TleSeries | None = None
-    conjugated: bool = False
-    """The map took the stored quaternion for the conjugate."""
-    matrix: Sequence[Sequence[float]] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
-    """(3, 3) by which the map turned the stored readings."""
-    count_nT: float | None = 1.0
-    """Reading [nT] for a stored number of 1; None where it is not one factor for all axes."""
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from fluxtwin.calib.checks.report import Finding, trap
-from fluxtwin.calib.checks.sample import Origin
 from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
+from fluxtwin.sim.telemetry.origin import Origin
 from fluxtwin.sim.telemetry.record import Telemetry
 
 STUCK_S, STUCK_ROWS = 60.0, 10
@@ -20,7 +20,7 @@ LONGER, MUCH_LONGER = 3.0, 10.0
 _WINDOWS, _LONGEST_RUNS = 400, 50
 
 
-def check_stuck(telemetry: Telemetry, origin: Origin | None = None) -> tuple[list[Finding], BoolArray]:
+def check_stuck(telemetry: Telemetry) -> tuple[list[Finding], BoolArray]:
     """The traps `constant_field`, `stuck_values`, `stuck_axis`, and which rows (N,) they spoil."""
     mag, good = telemetry.mag_B_nT, telemetry.has_reading
     faulty = np.zeros(len(mag), dtype=bool)
@@ -34,15 +34,15 @@ def check_stuck(telemetry: Telemetry, origin: Origin | None = None) -> tuple[lis
         value = mag[np.flatnonzero(good)[0]]
         return [trap("stuck_axis.always", axis="xyz"[axis], value=value[axis]) for axis in dead], good
     stuck = np.stack([_stuck(mag[:, [axis]], telemetry.time) for axis in range(3)], axis=1)
-    filled = _filled(mag, good, origin or Origin())
+    filled = _filled(mag, good, telemetry.origin)
     every = _stuck(mag, telemetry.time) & ~filled
     some: BoolArray = np.asarray(stuck.any(axis=1) | every | filled)
     findings = []
     if filled.any():
-        words = fill_words(mag[filled], origin or Origin())
+        words = fill_words(mag[filled], telemetry.origin)
         findings.append(trap("stuck_values.filled", np.flatnonzero(filled), count=filled.sum(), fill=words))
     if every.any():
-        said = {"fill": fill_words(mag[every], origin or Origin()), **_lengths(every, telemetry.time)}
+        said = {"fill": fill_words(mag[every], telemetry.origin), **_lengths(every, telemetry.time)}
         findings.append(trap("stuck_values.at_times", np.flatnonzero(every), **said))
     for axis in range(3):
         alone = stuck[:, axis] & ~every & ~filled

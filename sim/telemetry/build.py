@@ -6,6 +6,7 @@ Every reader ends here, so a file, a column map and a simulation pass the same d
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -35,7 +36,7 @@ def record(table: FileTable, *, tle: Path | str | None = None, attitude: Path | 
     from fluxtwin.sim.telemetry import companions
 
     found = resolve(table.columns, table.where)
-    notices, provenance = list(table.notices), dict(table.provenance)
+    notices, provenance, origin = list(table.notices), dict(table.provenance), table.origin
     fields = _fields(table, found)
     time = table.time
     if time.size == 0:
@@ -52,14 +53,17 @@ def record(table: FileTable, *, tle: Path | str | None = None, attitude: Path | 
             frames.rotation_EN(time).apply(np.where(np.isnan(r_E_km), 0.0, r_E_km), inverse=True) + 0.0 * r_E_km
         )
         notices.append("positions were turned from Earth-fixed to GCRS")
+        origin = replace(origin, position="ITRS")
     if tle is not None and "r_N_km" in fields:
         notices.append(f"the file has positions, so the elements in {Path(tle).name} were not used")
     elif tle is not None:
         fields["r_N_km"], fields["v_N_km_s"], said, stated = companions.positions(tle, time)
         notices.extend(said)
+        origin = replace(origin, elements=companions.elements_of(tle))
         provenance |= stated | ({companions.ATTITUDE_OF_ORBIT: "orbital"} if ANGLES.name in fields and stated else {})
     if ANGLES.name in fields:
         fields["q_NB"] = _from_angles(fields, time, notices, table.where)
+        origin = replace(origin, attitude="orbital")
     if attitude is not None and "q_NB" in fields:
         notices.append(f"the file has an attitude, so that in {Path(attitude).name} was not used")
     elif attitude is not None:
@@ -74,7 +78,7 @@ def record(table: FileTable, *, tle: Path | str | None = None, attitude: Path | 
     if notices:
         provenance["notices"] = "; ".join(notice.replace("; ", ", ") for notice in notices)
     try:
-        return Telemetry(time=time, provenance=provenance, **_named(table, found), **fields)  # type: ignore[arg-type]
+        return Telemetry(time=time, provenance=provenance, origin=origin, **_named(table, found), **fields)  # type: ignore[arg-type]
     except BadInput as error:
         raise BadInput(str(error), where=table.where) from None
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline, CubicSpline
@@ -24,6 +25,7 @@ from fluxtwin.sim.telemetry.column_map import ColumnMap, ColumnSpec, FileEntry, 
 from fluxtwin.sim.telemetry.column_map_read import Source, read_source, require_increasing
 from fluxtwin.sim.telemetry.columns import FileTable
 from fluxtwin.sim.telemetry.formats.table import Table
+from fluxtwin.sim.telemetry.origin import Origin
 from fluxtwin.sim.telemetry.quantities import BY_MAP_NAME, DRIVERS, MAG2, POSITION, VELOCITY, family_of
 
 _ROUNDED_S = 1e-6  # by which seconds as floating-point numbers, and stamps from another time scale, may be off
@@ -75,7 +77,28 @@ def merged_table(
             notices.append(f'linear between its samples: {", ".join(guessed)} (between = "hold" holds the last value)')
     where = path.where if isinstance(path, Table) else str(path)
     provenance = {"source": Path(where).name, "sha256": digests, **stated}
-    return FileTable(where, time, columns, notices, provenance, units)
+    specs = {name: source.entry.columns[name] for source in sources for name in source.values}
+    return FileTable(where, time, columns, notices, provenance, units, origin=_origin(specs, tle))
+
+
+def _origin(specs: Mapping[str, ColumnSpec], tle: Path | str | None) -> Origin:
+    """What the map made of what is stored, from what it says of each quantity that there is."""
+    mag, position, attitude = specs.get("mag"), specs.get("position"), specs.get("attitude")
+    stored: dict[str, Any] = {}
+    if position is not None:
+        stored["position"] = "ITRS" if position.axes == "ITRS" else "GCRS"
+    elif tle is not None:
+        stored["elements"] = companions.elements_of(tle)
+    if attitude is not None:
+        local = "orbital" if attitude.reference in ("orbital", "sun_nadir", "nadir_sun") else "GCRS"
+        stored["attitude"] = attitude.reference if attitude.reference in ("ITRS", "NEC", "NED") else local
+        stored |= {"scalar_first": attitude.order == "wxyz", "conjugated": attitude.sense == "conjugate"}
+    if mag is not None:
+        known = not isinstance(mag.scale, list) and not np.any(mag.offset)
+        unit_nT = BY_MAP_NAME["mag"].map_units.get(mag.unit or "", 1.0)
+        stored["count_nT"] = float(np.asarray(mag.scale)) * unit_nT if known else None
+        stored |= {} if mag.matrix is None else {"matrix": tuple(map(tuple, mag.matrix))}
+    return Origin(**stored)
 
 
 def attitude_at(

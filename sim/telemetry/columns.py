@@ -17,6 +17,7 @@ import numpy as np
 
 from fluxtwin.sim.base.errors import BadInput, nearest
 from fluxtwin.sim.base.types import FloatArray, TimeArray
+from fluxtwin.sim.telemetry.origin import Origin
 from fluxtwin.sim.telemetry.quantities import (
     ANGLES,
     FAMILIES,
@@ -66,6 +67,8 @@ class FileTable:
     """Units of columns whose names do not say them, by file name."""
     others: MutableMapping[str, FloatArray] = field(default_factory=dict)
     """Columns that no record has, each (N,), where a condition on rows asks for them."""
+    origin: Origin = field(default_factory=Origin)
+    """What a column map made these columns from."""
 
 
 @dataclass(frozen=True)

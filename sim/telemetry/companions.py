@@ -7,11 +7,15 @@ attitude by slerp, nothing across more than `ORBIT_GAP_S` and `ATTITUDE_GAP_S`.
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from fluxtwin.sim.base.types import FloatArray, TimeArray
 from fluxtwin.sim.telemetry.formats import ccsds
+
+if TYPE_CHECKING:
+    from fluxtwin.sim.earth.tle import TleSeries
 
 ORBIT_GAP_S = 300.0
 """In low orbit a cubic through positions and velocities 300 s apart is 0.02 km off."""
@@ -37,6 +41,13 @@ def positions(path: Path | str, time: TimeArray) -> tuple[FloatArray, FloatArray
     sizes_km = np.array([along_track_sigma_km(days) for days in np.unique(elements.age_days(time).round(2))])
     stated = {ALONG_TRACK_KM: f"{np.sqrt(np.mean(sizes_km**2)):.3g}"}
     return *elements.propagate(time), [said, *elements.notices(time)], stated
+
+
+def elements_of(path: Path | str) -> TleSeries | None:
+    """The two-line elements in the file; None for an OEM."""
+    from fluxtwin.sim.earth.tle import read_elements
+
+    return None if ccsds.is_message(Path(path), "OEM") else read_elements(path)
 
 
 def attitude(

@@ -20,6 +20,7 @@ import numpy as np
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.shown import Shown
 from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
+from fluxtwin.sim.telemetry.origin import Origin
 from fluxtwin.sim.telemetry.quantities import DRIVERS, FAMILIES, RECORDED
 
 _SHAPES = {quantity.name: quantity.components for quantity in RECORDED}
@@ -87,6 +88,8 @@ class Telemetry(Shown):
     and `calibration_2` that of the second magnetometer. `magnetometer` is 2 where the second has
     taken the place of the first.
     """
+    origin: Origin = field(default_factory=Origin)
+    """What positions, attitude and readings were made from on reading; a file that is written does not keep it."""
 
     def __post_init__(self) -> None:
         time = np.array(self.time, dtype="datetime64[ns]").reshape(-1)
@@ -238,6 +241,8 @@ class Telemetry(Shown):
 
     def replace(self, **changes: object) -> Telemetry:
         """A copy with some fields changed; every check of the constructor runs again."""
+        origin = self.origin.without_position() if "r_N_km" in changes else self.origin
+        changes.setdefault("origin", origin.without_attitude() if "q_NB" in changes else origin)
         return dataclasses.replace(self, **changes)  # type: ignore[arg-type]
 
 
@@ -298,6 +303,8 @@ def concatenate(records: list[Telemetry]) -> Telemetry:
         names = sorted({name for values, _ in named for name in values})
         columns[family.field] = {n: np.concatenate([of.get(n, absent) for of, absent in named]) for n in names}
     columns["driver_units"] = _same_units(ordered)
+    if all(r.origin == ordered[0].origin for r in ordered):
+        columns["origin"] = ordered[0].origin
     sources = "; ".join(dict.fromkeys(r.provenance.get("source", "") for r in ordered))
     columns["provenance"] = {**ordered[0].provenance, **_same_origin(ordered), "source": sources}
     return Telemetry(**columns)  # type: ignore[arg-type]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import pickle
 import re
 from collections.abc import Callable
 from dataclasses import replace
@@ -19,7 +20,7 @@ from fluxtwin.calib.checks.clock import check_clock, named_shift, shifts_s
 from fluxtwin.calib.checks.evidence import _covariances
 from fluxtwin.calib.checks.orientation import _mountings
 from fluxtwin.calib.checks.outliers import without_gross_outliers
-from fluxtwin.calib.checks.sample import Origin, comparable
+from fluxtwin.calib.checks.sample import comparable
 from fluxtwin.calib.checks.unit import _misfit_nT
 from fluxtwin.calib.checks.values import _plane_wander
 from fluxtwin.scenarios.seasat import mission
@@ -30,7 +31,8 @@ from fluxtwin.sim.earth import frames, references, sun
 from fluxtwin.sim.earth.field import FieldModel, field_N_nT, load_field
 from fluxtwin.sim.earth.orbit import Orbit
 from fluxtwin.sim.run.simulate import simulate
-from fluxtwin.sim.telemetry.record import Telemetry
+from fluxtwin.sim.telemetry.origin import Origin
+from fluxtwin.sim.telemetry.record import Telemetry, concatenate
 from fluxtwin.sim.telemetry.telemetry_files import read_telemetry, write_telemetry
 
 pytestmark = pytest.mark.property
@@ -387,11 +389,23 @@ def test_what_cannot_be_tested_is_said(model: FieldModel) -> None:
     assert "outside_field_model" in {finding.code for finding in far.traps}
 
 
-def test_a_week_that_began_again_is_named(model: FieldModel) -> None:
-    record = good(model, 4)
-    found = check_telemetry(record.replace(time=record.time - np.timedelta64(1024, "W")), model)
+@pytest.mark.parametrize(("times", "year"), [(1, 1978), (2, 2026)])
+def test_a_week_that_began_again_is_named(times: int, year: int, model: FieldModel) -> None:
+    """The weeks began again in 1999 and in 2019, so that a receiver of the first kind is two rounds behind."""
+    record = good(model, 4, year=year, rows=150)
+    found = check_telemetry(record.replace(time=record.time - np.timedelta64(times * 1024, "W")), model)
     assert [finding.code for finding in found.traps] == ["clock"]
-    assert "1024 weeks too early" in found.traps[0].text and "time.offset_s = 619315200" in found.traps[0].text
+    assert f"{times * 1024} weeks too early" in found.traps[0].text
+    assert f"time.offset_s = {times * 619315200}" in found.traps[0].text
+    assert "more than a right clock" not in found.traps[0].text
+
+
+def test_a_shift_that_leaves_more_than_a_right_clock_would_is_doubted(model: FieldModel) -> None:
+    """Half a century off, a time of day that fits better is not what is wrong: the field itself has changed."""
+    record = good(model, 4, year=2026, mode="tumble")
+    moved = record.replace(time=record.time - np.timedelta64(3 * 1024, "W") - np.timedelta64(150, "m"))
+    (found,) = check_telemetry(moved, model).traps
+    assert found.code == "clock" and "more than a right clock" in found.text, found.text
 
 
 def test_what_was_not_compared_is_not_called_clean(model: FieldModel) -> None:
@@ -609,13 +623,34 @@ def test_the_keys_of_an_attitude_that_are_advised_put_it_right(
     def traps() -> list[str]:
         text = column_map(attitude=", ".join(f'{key} = "{value}"' for key, value in keys.items()))
         (tmp_path / "m.toml").write_text(text, encoding="utf-8")
-        return [found.text for found in check_file(path, model, column_map=tmp_path / "m.toml").traps]
+        said = [found.text for found in check_file(path, model, column_map=tmp_path / "m.toml").traps]
+        record = read_telemetry(path, column_map=tmp_path / "m.toml")
+        assert [found.text for found in check_telemetry(record, model).traps] == said
+        return said
 
     (found,) = traps()
     needed = found.partition("`attitude` in a column map needs ")[2]
     assert dict(re.findall(r'(\w+) = "(\w+)"', needed)) == wanted, found
     keys |= wanted
     assert traps() == []
+
+
+def test_a_record_knows_how_it_was_read_until_that_is_changed(model: FieldModel, tmp_path: Path) -> None:
+    """Cut, sent elsewhere and joined it does; with another attitude or position, and read from a file of its own, not."""
+    path = write_telemetry(good(model, mode="tumble"), tmp_path / "t.csv")
+    keys = 'order = "wxyz", sense = "conjugate", relative_to = "ITRS"'
+    (tmp_path / "m.toml").write_text(column_map(mag="scale = 2.0", attitude=keys), encoding="utf-8")
+    record = read_telemetry(path, column_map=tmp_path / "m.toml")
+    wanted = Origin(attitude="ITRS", scalar_first=True, conjugated=True, count_nT=2.0)
+    joined = concatenate([record[:300], record[300:]])
+    for one in (record, record[::2], record.replace(sunlit=None), joined, pickle.loads(pickle.dumps(record))):
+        assert one.origin == wanted
+    assert record.replace(q_NB=record.q_NB).origin == Origin(count_nT=2.0)
+    fixed = record.replace(origin=replace(wanted, position="ITRS"))
+    assert fixed.replace(r_N_km=record.r_N_km).origin == wanted
+    assert read_telemetry(write_telemetry(record, tmp_path / "t.nc")).origin == Origin()
+    plain = concatenate([record[:300], record[300:].replace(origin=Origin())])
+    assert plain.origin == Origin()
 
 
 @pytest.mark.parametrize(("count", "key"), [(-32768, "fill"), (0, "invalid")])

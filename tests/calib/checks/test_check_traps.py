@@ -21,11 +21,12 @@ from fluxtwin.calib.checks.check import check_file, check_telemetry
 from fluxtwin.calib.checks.clock import _further, shifts_s
 from fluxtwin.calib.checks.orientation import _mountings
 from fluxtwin.calib.checks.report import CheckReport
-from fluxtwin.calib.checks.sample import Origin, comparable
+from fluxtwin.calib.checks.sample import comparable
 from fluxtwin.sim.base.random_streams import stream
 from fluxtwin.sim.earth.field import FieldModel, field_N_nT, load_field
 from fluxtwin.sim.earth.frames import q_from_rotation
 from fluxtwin.sim.earth.tle import read_elements, read_tle
+from fluxtwin.sim.telemetry.origin import Origin
 from fluxtwin.sim.telemetry.record import Telemetry
 from fluxtwin.sim.telemetry.telemetry_files import read_telemetry
 
@@ -195,7 +196,7 @@ def test_a_shift_that_elements_or_model_do_not_reach_is_no_error(model: FieldMod
         (time, Origin(elements=elements), ""),
         (near_end, Origin(), "hifts of 1 day cannot"),
     ):
-        report = check_telemetry(turning(stamps, r, v, model), model, origin)
+        report = check_telemetry(turning(stamps, r, v, model).replace(origin=origin), model)
         assert report.traps == ()
         (said,) = [note.text for note in report.notes if note.code == "clock_tested"]
         assert untested in said and ("cannot be tested here" in said) == bool(untested)
@@ -210,7 +211,8 @@ def test_what_elements_of_this_age_may_be_off_is_no_fault_of_the_clock(
     time = elements.sets[0].epoch_utc + np.timedelta64(6, "D") + np.arange(0, 21600, 10) * np.timedelta64(10**9, "ns")
     r, v = elements.propagate(time)
     truly, _ = elements.propagate(time + np.timedelta64(late_s, "s"))
-    report = check_telemetry(turning(time, r, v, model, truly), model, Origin(elements=elements))
+    record = turning(time, r, v, model, truly).replace(origin=Origin(elements=elements))
+    report = check_telemetry(record, model)
     assert [trap.code for trap in report.traps] == codes
     said = [note.text for note in report.notes if note.code == "elements_off"]
     assert [f"38 km {'ahead of' if late_s > 0 else 'behind'} them" in one for one in said] == [True] * (not codes)
@@ -243,12 +245,6 @@ def test_one_cause_has_one_name(model: FieldModel, tmp_path: Path) -> None:
         case.extra["sunlit"] = (np.arange(len(case.time)) // 200 % 2).astype(float)
         corrupt(case, kind)
         assert [trap.code for trap in checked(case, model, tmp_path).traps] == ["position_frame"], case.label
-
-
-def test_origin_is_gcrs_unless_said(model: FieldModel, tmp_path: Path) -> None:
-    record = read_telemetry(write(flown(model, GOOD, 0), tmp_path / "record.csv"))
-    plain, said = check_telemetry(record, model), check_telemetry(record, model, Origin())
-    assert plain == said
 
 
 def test_an_earth_turned_further_is_turned_about_its_pole() -> None:

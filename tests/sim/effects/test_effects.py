@@ -301,7 +301,8 @@ def test_switched_on_the_telemetry_changes_and_carries_no_name_of_it(effect, sce
     theta = scale_of(effect)
     flown = switched_on(scenario, effect, theta)
     telemetry, truth = simulate(flown)
-    columns = {item.name for item in dataclasses.fields(telemetry)} - {"flags", "drivers", "driver_units", "provenance"}
+    others = {"flags", "drivers", "driver_units", "provenance", "origin"}
+    columns = {item.name for item in dataclasses.fields(telemetry)} - others
     same = [
         getattr(telemetry, name) is None
         or np.array_equal(getattr(telemetry, name), getattr(run[0], name), equal_nan=True)

@@ -21,6 +21,7 @@ from fluxtwin.calib.common.orbit_error import stated_km
 from fluxtwin.calib.common.records import Calibration
 from fluxtwin.calib.common.words import say
 from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
+from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.telemetry.record import Telemetry
 
 if TYPE_CHECKING:
@@ -40,6 +41,10 @@ _FALSE_ALARM = 1e-3  # of a comparison of variances
 _TRUSTED = 1.5  # a declared attitude error is trusted to that factor, as in `error_model`
 _WEAK_S = 0.01  # 1 sigma: half a degree, or a percent of the field
 _MANY_OUTLIERS = 0.01  # of the rows: the share up to which the sigmas were measured (docs/calibration.md)
+_TOO_MANY_OUTLIERS = 0.25
+"""Of the rows: half of what breaks a robust fit. With more, one half of the record may consist mostly of outliers, and that
+half alone would have given another calibration: the rows that are set aside are then no errors of single readings."""
+_NEARLY_ALL = 0.9  # of the outliers: a tenth may be errors of single readings besides
 _SHOWN = 5
 
 
@@ -255,6 +260,8 @@ def _impossible(fit: Fit, declared: DeclaredNoise, along: Along, residual_nT: fl
     if residual_nT > IMPOSSIBLE_RESIDUAL * field_rms_nT / np.sqrt(fit.residuals_nT.shape[1]):
         share = 100 * residual_nT * np.sqrt(fit.residuals_nT.shape[1]) / field_rms_nT
         found.append(say("verdict.impossible_residual", share=share))
+    if fit.rejected > _TOO_MANY_OUTLIERS * _rows(fit):
+        found.append(say("verdict.impossible_outliers", share=100 * fit.rejected / _rows(fit), where=_stretch(fit)))
     return found or _undetermined(known)
 
 
@@ -284,7 +291,7 @@ def _limits(
     if along.found_nT > _WEAK_S * strength_nT:
         found.append(say("verdict.misses", share=100 * along.found_nT / strength_nT))
     if _many_outliers(fit):
-        found.append(say("verdict.many_outliers", share=100 * _MANY_OUTLIERS))
+        found.append(say("verdict.many_outliers", share=100 * _MANY_OUTLIERS, where=_stretch(fit)))
     at = int(known.sigmas[:9].argmax())
     if known.sigmas[at] > _WEAK_S:
         weak = {"name": known.names[at], "sigma": known.sigmas[at], "deg": direction.calibration_anywhere_deg}
@@ -317,6 +324,25 @@ def _rows(fit: Fit) -> int:
 
 def _many_outliers(fit: Fit) -> bool:
     return fit.rejected > _MANY_OUTLIERS * _rows(fit)
+
+
+def _stretch(fit: Fit) -> str:
+    """A sentence on the one stretch in which nearly all outliers lie and most rows are outliers; empty where none is such.
+
+    Errors of single readings would share a stretch by chance once in a thousand records.
+    """
+    out = ~fit.kept
+    total = np.concatenate([[0], np.cumsum(np.where(out, 1, -1))])
+    lowest = np.minimum.accumulate(total)
+    end = int((total - lowest).argmax())  # where outliers most outnumber the other rows since the start of a stretch
+    start = int(total[: end + 1].argmin())
+    rows, inside, outliers = end - start, int(out[start:end].sum()), int(out.sum())
+    by_chance = len(out) * (rows / len(out)) ** inside  # at most: so many stretches of this length begin somewhere
+    if inside <= _NEARLY_ALL * outliers or by_chance > _FALSE_ALARM:
+        return ""
+    from_, to = epoch.iso(fit.time[start], "s"), epoch.iso(fit.time[end - 1], "s")
+    where = f"from {from_} on" if end == len(out) else f"until {to}" if start == 0 else f"from {from_} to {to}"
+    return say("verdict.stretch", inside=inside, rows=rows, outliers=outliers, where=where)
 
 
 def _coupling(fit: Fit, dipole_B_Am2: FloatArray | None) -> str:

@@ -130,7 +130,8 @@ def _joined(columns: Sequence[FloatArray]) -> FloatArray:
 
 
 def _is_column(one: FloatArray, other: FloatArray) -> bool:
-    return one.strides == other.strides and one.ctypes.data == other.ctypes.data
+    same_shape = one.shape == other.shape and one.strides == other.strides  # the first rows of a column start with it
+    return same_shape and one.ctypes.data == other.ctypes.data
 
 
 def _named(table: FileTable, found: Resolution) -> dict[str, dict[str, FloatArray] | dict[str, str]]:

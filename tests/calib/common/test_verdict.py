@@ -112,6 +112,43 @@ def test_an_attitude_error_beyond_the_declared_one_is_said(seasat: Any) -> None:
     assert "0.02 deg were declared" in levels[2][1]
 
 
+@pytest.mark.parametrize(
+    ("first", "end", "level", "where"),
+    [
+        (0.6, 1.0, "bad", " lie from {first} on, among "),
+        (0.0, 0.3, "bad", " lie until {last}, among "),
+        (0.5, 0.6, "usable", " lie from {first} to {last}, among "),
+    ],
+)
+def test_two_populations_are_no_calibration(seasat: Any, first: float, end: float, level: str, where: str) -> None:
+    """A stretch in which two axes are swapped: much of a record is no outlier, and the stretch is named by its stamps."""
+    record = flown(seasat, noise_nT=5.0)
+    swapped = np.arange(int(first * len(record)), int(end * len(record)))
+    B = np.array(record.mag_B_nT)
+    B[swapped] = B[swapped][:, [1, 0, 2]]
+    fit = fitted(record.replace(mag_B_nT=B), seasat)
+    verdict, out = fit.verdict, fit.rows[~fit.kept]
+    assert verdict is not None
+    assert verdict.level == level, verdict.lines
+    words = next(one for one in verdict.reasons if "of the rows are outliers" in one)
+    assert set(out) <= set(swapped) and len(out) > 0.9 * len(swapped)
+    ends = {"first": record.time[out[0]], "last": record.time[out[-1]]}
+    assert where.format(**{name: f"{time.astype('datetime64[s]')}Z" for name, time in ends.items()}) in words
+    assert ("describes only a part of the record" in words) == (level == "bad")
+
+
+@pytest.mark.parametrize("share", [0.01, 0.05, 0.1, 0.2])
+def test_bit_errors_here_and_there_are_outliers(seasat: Any, share: float) -> None:
+    record, rng = flown(seasat, noise_nT=5.0), np.random.default_rng(3)
+    wrong = rng.random(len(record)) < share
+    bits = rng.choice([-1.0, 1.0], (len(record), 3)) * 2.0 ** rng.integers(10, 15, (len(record), 3))
+    B = np.where(wrong[:, None], record.mag_B_nT + bits, record.mag_B_nT)
+    verdict = fitted(record.replace(mag_B_nT=B), seasat).verdict
+    assert verdict is not None
+    assert verdict.level in {"good", "usable"} and verdict.set_aside > 0.9 * wrong.sum()
+    assert not any("no errors of single readings" in words for words in verdict.reasons)
+
+
 def test_what_is_left_along_the_field_limits_it(seasat: Any) -> None:
     """A field that follows no parameter, 150 nT along the field, beside 20 nT of noise."""
     record = flown(seasat)

@@ -346,6 +346,20 @@ def test_frames_of_pandas_and_xarray_as_they_are(record: fluxtwin.Telemetry) -> 
     assert record.driver_units == fluxtwin.read(dataset).driver_units
 
 
+@pytest.mark.parametrize(
+    "rows", [slice(30), slice(30, None), slice(None, None, 2), slice(10, 50, 3), slice(1)], ids=str
+)
+def test_some_rows_of_a_frame_are_those_rows(record: fluxtwin.Telemetry, tmp_path: Path, rows: slice) -> None:
+    """However the record was made: of an array of its own, or of the columns of a file."""
+    fluxtwin.write(record, tmp_path / "r.csv")
+    for whole in (record, fluxtwin.read(tmp_path / "r.csv")):
+        for part in (whole.to_pandas().iloc[rows], whole.to_xarray().isel(time=rows)):
+            taken = fluxtwin.read(part)
+            assert (taken.time == whole.time[rows]).all()
+            for name in ("mag_B_nT", "q_NB", "r_N_km", "sunlit"):
+                assert np.array_equal(getattr(taken, name), getattr(whole, name)[rows], equal_nan=True), name
+
+
 def test_only_what_fluxtwin_wrote_says_that_readings_are_corrected(record: fluxtwin.Telemetry) -> None:
     corrected = record.replace(
         provenance={**record.provenance, "calibration": "calibration 0123456789ab (residual 5 nT)"}

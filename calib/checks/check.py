@@ -18,7 +18,7 @@ from fluxtwin.calib.checks.field import check_field
 from fluxtwin.calib.checks.outliers import check_outliers
 from fluxtwin.calib.checks.report import CheckReport, Finding, note, report, trap
 from fluxtwin.calib.checks.sample import comparable
-from fluxtwin.calib.checks.stuck import check_stuck
+from fluxtwin.calib.checks.stuck import check_held, check_stuck
 from fluxtwin.calib.checks.unit import check_calibrated
 from fluxtwin.calib.checks.values import check_motion, check_readings
 from fluxtwin.calib.common.records import Onboard
@@ -105,7 +105,10 @@ def check_telemetry(telemetry: Telemetry, model: FieldModel, *, onboard: Onboard
     """
     stuck, faulty = check_stuck(telemetry)
     motion = check_motion(telemetry)
-    findings = [*stuck, *motion, *check_readings(telemetry)]
+    held, fresh = check_held(telemetry)
+    if held and int((fresh & ~faulty).sum()) >= _QUIET_ROWS:  # what holds of the others is seen in rows that are new
+        faulty = faulty | ~fresh
+    findings = [*stuck, *held, *motion, *check_readings(telemetry)]
     lost = any(finding.severity == "trap" and finding.code in POSITION_TRAPS for finding in motion)
     if not lost and (telemetry.has_reading & ~faulty).any():
         usable, against_field = _against_field(telemetry, model, ~faulty)

@@ -72,9 +72,7 @@ def calibrate_gyro(records: Telemetry | Sequence[Telemetry], model: FieldModel, 
     def by(columns: drivers.Columns) -> GyroFit:
         return _fit(telemetry, used, rows, columns, options, left_out)
 
-    def late(
-        fit: GyroFit, of_fit: drivers.Columns, now: drivers.Columns, name: str, tried: FloatArray
-    ) -> FloatArray:
+    def late(fit: GyroFit, of_fit: drivers.Columns, now: drivers.Columns, name: str, tried: FloatArray) -> FloatArray:
         others = _stacked({one: values for one, values in now.items() if one != name}, len(used))
         rows = fit.seen.in_stretches
         here, there = ({one: values[rows] for one, values in columns.items()} for columns in (of_fit, now))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any, TypedDict, Unpack
 
@@ -23,7 +23,7 @@ from fluxtwin.gap.records.diagnosis import Diagnosis
 from fluxtwin.gap.report import input_warnings, words
 from fluxtwin.notebook import usual
 from fluxtwin.scenarios.packaged import as_scenario
-from fluxtwin.sim.base.errors import BadInput, NoAnswer
+from fluxtwin.sim.base.errors import BadInput, NoAnswer, names_in, nearest
 from fluxtwin.sim.base.progress import Progress
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.earth.field_models import load_field
@@ -77,6 +77,10 @@ def with_assumed(verb: F) -> F:
 
 def declared_in(options: Mapping[str, Any]) -> Declared:
     """What is declared among the options. Raises BadInput for an error that cannot be, TypeError for another option."""
+    known = [one.name for one in fields(Declared)]
+    for name in options:
+        if name not in known:
+            raise TypeError(f"{name!r} is no keyword of this verb{nearest(name, known)}")
     declared = Declared(**options)
     for name, most in _MOST.items():
         value = getattr(declared, name)
@@ -107,7 +111,7 @@ def diagnose(
     """
     given = dict(options)
     reading, declared = reading_of(given), declared_in(given)
-    modelled = tuple(dict.fromkeys(modelled))
+    modelled = tuple(names_in(modelled))
     for name in modelled:
         find_effect(name, where="--modelled")
     record = as_record(telemetry, **reading)

@@ -51,7 +51,8 @@ def trend(
     reading = reading_of(options)
     known: list[Calibration] = []
     records: list[Telemetry] = []
-    for one in [files] if isinstance(files, Calibration | Telemetry | Path | str) else files:
+    alone = Calibration | Telemetry | Path | str
+    for one in [files] if isinstance(files, alone) or not isinstance(files, Sequence) else files:  # a table is a record
         if isinstance(one, Calibration):
             known.append(one)
         elif isinstance(one, Path | str) and Path(one).suffix.lower() == ".toml":

@@ -60,9 +60,9 @@ def command(
     status is 1 if --follow ended with an alarm.
     """
     from fluxtwin import outputs
-    from fluxtwin.sim.base.errors import BadInput
+    from fluxtwin.sim.base.errors import BadInput, names_in
 
-    asked: dict[str, Any] = {**assumed._asdict(), "modelled": of.names_in(modelled)}
+    asked: dict[str, Any] = {**assumed._asdict(), "modelled": names_in(modelled)}
     given = [path for path in telemetry if not follow or str(path) != "-"]
     targets = {"--html": (html, outputs.PAGE), "--close": (close, outputs.SCENARIO)}
     output.claim(targets, [*given, scenario, calibration, assumed.field, *reading.files])

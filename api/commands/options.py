@@ -238,11 +238,6 @@ def as_options(given: Mapping[str, Any], usual: Mapping[str, Any] | None = None)
     return shlex.join(words)
 
 
-def names_in(given: str) -> list[str]:
-    """The names in a list with commas; `none` is an empty list."""
-    return [] if given.strip() == "none" else [name.strip() for name in given.split(",") if name.strip()]
-
-
 def as_command(command: Callable[..., None], offered: Iterable[Offered] = ()) -> Callable[..., None]:
     """The command as typer takes it: its `output` made of the options of every command, records of options taken apart, and
     `offered`, the options of the calibration methods, after its argument in place of its `**options`."""

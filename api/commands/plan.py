@@ -9,6 +9,7 @@ import typer
 
 from fluxtwin.commands import options as of
 from fluxtwin.console import Output
+from fluxtwin.sim.base.errors import names_in
 
 BRIEF = "Plan what to fly next to settle what a diagnosis leaves open."
 
@@ -55,8 +56,8 @@ def command(
             telemetry if is_json else of.read(telemetry, output, reading),
             limits=limits,
             scenario=scenario,
-            names=of.names_in(about),
-            modelled=of.names_in(modelled),
+            names=names_in(about),
+            modelled=names_in(modelled),
             progress=progress,
             **assumed._asdict(),
         )

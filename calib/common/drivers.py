@@ -24,7 +24,7 @@ from fluxtwin.calib.common.criterion import THRESHOLD, worth
 from fluxtwin.calib.common.digits import plain
 from fluxtwin.calib.common.fit import Fit
 from fluxtwin.calib.common.records import seconds_of
-from fluxtwin.sim.base.errors import BadInput, NoAnswer, nearest
+from fluxtwin.sim.base.errors import BadInput, NoAnswer, names_in, nearest
 from fluxtwin.sim.base.late import late, lateness_near, lateness_tried
 from fluxtwin.sim.base.progress import Progress
 from fluxtwin.sim.base.types import FloatArray
@@ -82,6 +82,7 @@ _NOT = _Late(0.0, 0.0)
 
 def asked_for(telemetry: Telemetry, names: Sequence[str]) -> Asked:
     """Columns by NAME of `driver_NAME`, or by their own names; `all`: each `driver_NAME`. BadInput for an absent one."""
+    names = names_in(names)
     known = {name: v for name, v in recorded_columns(telemetry).items() if v.ndim == 1}
     found: dict[str, FloatArray] = {}
     left_out: dict[str, str] = {}

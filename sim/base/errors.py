@@ -59,3 +59,10 @@ def nearest(word: str, known: Iterable[str], words: str = "; did you mean {}?", 
 
     near = difflib.get_close_matches(word, list(known), n=1, cutoff=cutoff)
     return words.format(near[0]) if near else ""
+
+
+def names_in(given: str | Iterable[str]) -> list[str]:
+    """Each name once, of several or of a text with commas between them; `none` alone is an empty list."""
+    if isinstance(given, str):
+        given = [] if given.strip() == "none" else [name.strip() for name in given.split(",") if name.strip()]
+    return list(dict.fromkeys(given))

@@ -48,6 +48,22 @@ def test_the_number_of_threads_changes_no_bit(flown: str) -> None:
     assert "noise_nT" in inspect.signature(fluxtwin.diagnose).parameters
 
 
+def test_lists_may_be_typed_as_on_the_command_line(flown: str) -> None:
+    with pytest.raises(fluxtwin.BadInput, match="no effect is called 'biass'"):
+        fluxtwin.diagnose(flown, modelled="biass,scale_misalignment")
+    record = fluxtwin.read(flown)
+    load = record.replace(drivers={"load": np.arange(len(record)) % 10 < 5.0})
+    assert "driver_load" in fluxtwin.calibrate(load, driver="load").calibration.telemetry_bias
+    assert not fluxtwin.calibrate(load, driver="all").calibration.telemetry_bias, "it drives nothing"
+    with pytest.raises(TypeError, match="did you mean attitude_sigma_deg"):
+        fluxtwin.diagnose(flown, attitude_sigma=0.1)
+
+
+def test_a_table_is_one_record_to_a_trend(flown: str) -> None:
+    with pytest.raises(fluxtwin.BadInput, match="two"):
+        fluxtwin.trend(fluxtwin.read(flown).to_pandas())
+
+
 def test_effects_by_name() -> None:
     assert {effect.name for effect in fluxtwin.effects()} >= {"bias", "time_tag_offset"}
     assert [effect.name for effect in fluxtwin.effects("bias")] == ["bias"]

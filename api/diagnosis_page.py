@@ -9,7 +9,7 @@ import numpy as np
 from fluxtwin.calib.common.digits import measured, plain, with_sigma
 from fluxtwin.calib.common.records import parameter_unit
 from fluxtwin.calibration_page import parameter_tables
-from fluxtwin.gap.held_out.closing import calibration, reestimated
+from fluxtwin.gap.held_out.closing import calibration, can_be_taken_out, reestimated
 from fluxtwin.gap.problem.problem import DEFAULT_MODELLED
 from fluxtwin.gap.records.diagnosis import Diagnosis, Law
 from fluxtwin.gap.report.words import APART_FROM_THEM, FIRST, located, percent, typical_size
@@ -31,15 +31,22 @@ _FACTS = {
 }
 """What the page calls a fact of the provenance, where its own name does not say it."""
 PLAN = "To find out, run fluxtwin plan on the same file: it proposes what to fly."
-CORRECT = "fluxtwin apply --scenario CLOSED.toml corrects the readings with the named effects taken out"
-"""What to do with a closed scenario."""
+CORRECT = "fluxtwin apply TELEMETRY --scenario CLOSED.toml --out CORRECTED.nc"
 _ALL_TESTED = "Every effect of the catalogue could be tested."
 
 
 def diagnosis_page(
-    diagnosis: Diagnosis, title: str, *, record: Telemetry | None = None, source: str = "TELEMETRY"
+    diagnosis: Diagnosis,
+    title: str,
+    *,
+    record: Telemetry | None = None,
+    source: str = "TELEMETRY",
+    correct: str = CORRECT,
 ) -> Page:
-    """The page of one diagnosis; record: the telemetry that was diagnosed; source: what names and reads it in a command."""
+    """The page of one diagnosis; record: the telemetry that was diagnosed; source: what names and reads it in a command.
+
+    correct: the command that corrects the readings with a closed scenario.
+    """
     far = _far(diagnosis, record)
     seen = [one for one in far.figures if one.name in ("field", "gap_series")]
     as_it_stands = [PageSection("The residual of the file as it stands", [], [], seen)]
@@ -49,7 +56,7 @@ def diagnosis_page(
     return Page(
         title=title,
         verdict=_sentences(diagnosis)[0],
-        next_step=_next_step(diagnosis, source),
+        next_step=_next_step(diagnosis, source, correct),
         sections=[
             *([PageSection("What it means", rest)] if rest else []),
             *(as_it_stands if _wrong_file(diagnosis) else _found(diagnosis, record, far)),
@@ -131,7 +138,16 @@ def _coverage(diagnosis: Diagnosis, record: Telemetry | None) -> list[FigureBloc
     return [coverage_block(*counted(reading + reading @ S.reshape(3, 3).T + b_nT))] if rows.any() else []
 
 
-def _next_step(diagnosis: Diagnosis, source: str) -> str:
+def correcting(diagnosis: Diagnosis, command: str) -> str:
+    """The command with what it does; empty where nothing that is named can be taken out of readings or positions."""
+    closure = diagnosis.closure
+    named = [] if closure is None else [effect for effect, _ in closure.chosen]
+    named += [] if closure is None else [one.effect for one in closure.stochastic if one.effect is not None]
+    taken = [effect.name for effect in named if can_be_taken_out(effect)]
+    return f"{command} corrects the telemetry with {' and '.join(taken)} taken out" if taken else ""
+
+
+def _next_step(diagnosis: Diagnosis, source: str, correct: str) -> str:
     if diagnosis.sentence.startswith(FIRST):
         return "correct the file, and diagnose again."
     if diagnosis.verdict == "no_gap" and diagnosis.provenance.get("two_magnetometers", {}).get("differ"):
@@ -142,9 +158,11 @@ def _next_step(diagnosis: Diagnosis, source: str) -> str:
         return "find out why these rows are wrong, or leave their readings blank; the others need nothing."
     if diagnosis.verdict == "unknown" or any(len(effect.group) > 1 for effect in diagnosis.effects):
         return f"fluxtwin plan {source}, which proposes what to fly to find out."
+    done = correcting(diagnosis, correct)
     if diagnosis.transfers is not None:
-        return f"{CORRECT}; diagnose the telemetry of another day with --scenario CLOSED.toml."
-    return f"fluxtwin diagnose {source} --close CLOSED.toml. {CORRECT}; test it on the telemetry of another day."
+        return f"{done and f'{done}; '}diagnose the telemetry of another day with the closed scenario (--scenario)."
+    close = f"fluxtwin diagnose {source} --close CLOSED.toml. "
+    return f"{close}{done and f'{done}; '}test the scenario on the telemetry of another day."
 
 
 def tables(diagnosis: Diagnosis) -> list[Table]:

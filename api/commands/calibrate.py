@@ -166,14 +166,12 @@ def _next_step(fit: Fit, telemetry: list[Path], out: Path | None, reading: of.Re
         words = f"fluxtwin calibrate TELEMETRY{again} --out CALIBRATION.toml"
     several = words.startswith("fluxtwin calibrate")
     named = " ".join(shlex.quote(str(path)) for path in (telemetry if several else telemetry[:1]))
-    how = reading._replace(start=None, end=None, where=None) if words.startswith("fluxtwin apply") else reading
+    how = reading.of_all_rows if words.startswith("fluxtwin apply") else reading
     named += f" {how.words}" if how.words else ""
     if words.startswith("fluxtwin diagnose"):
         named += _again({name: asked[name] for name in of.Assumed._fields if name in asked})
-    first = telemetry[0].resolve()  # `.` and `..` have no name of their own
-    stem = first.name if first.is_dir() else first.name.removesuffix(".gz").rsplit(".", 1)[0]
-    corrected = shlex.quote(f"{stem}-corrected{'-2' if reading.magnetometer == 2 else ''}.nc")
-    known = shlex.quote(str(out or f"{stem}-calibration.toml"))
+    corrected = shlex.quote(of.corrected_name(telemetry[0], reading))
+    known = shlex.quote(str(out or f"{of.stem(telemetry[0])}-calibration.toml"))
     return words.replace("TELEMETRY", named).replace("CALIBRATION.toml", known).replace("CORRECTED", corrected)
 
 

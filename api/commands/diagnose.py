@@ -92,11 +92,19 @@ def command(
                 diagnosis, scenario=scenario, telemetry=telemetry[0], column_map=reading.column_map, declared=declared
             )
         named = (shlex.quote(str(telemetry[0])), reading.words, assumed.words)
-        _page(diagnosis, telemetry[0], html, record, source=" ".join(filter(None, named)))
+        correct = _correct(telemetry[0], close, reading)
+        _page(diagnosis, telemetry[0], html, record, source=" ".join(filter(None, named)), correct=correct)
         if close is not None and scene is not None:
             save_scenario(scene, close)
-    _say(output, diagnosis, html, close, closed=scene is not None)
+    _say(output, diagnosis, html, close, closed=scene is not None, correct=correct)
     output.result(diagnosis.to_dict())
+
+
+def _correct(telemetry: Path, close: Path | None, reading: of.Reading) -> str:
+    """The command that corrects the readings with a closed scenario."""
+    closed, out = shlex.quote(str(close or "CLOSED.toml")), shlex.quote(of.corrected_name(telemetry, reading))
+    named = " ".join(filter(None, (shlex.quote(str(telemetry)), reading.of_all_rows.words)))
+    return f"fluxtwin apply {named} --scenario {closed} --out {out}"
 
 
 def _require_together(
@@ -171,17 +179,19 @@ def _fleet(
 
 
 def _page(
-    diagnosis: Diagnosis, telemetry: Path, html: Path | None, record: Telemetry | None = None, source: str = "TELEMETRY"
+    diagnosis: Diagnosis, telemetry: Path, html: Path | None, record: Telemetry | None = None, **commands: str
 ) -> None:
     from fluxtwin.diagnosis_page import diagnosis_page
     from fluxtwin.report import write_page
 
     if html is not None:
-        page = diagnosis_page(diagnosis, f"The gap: {telemetry.name}", record=record, source=source)
+        page = diagnosis_page(diagnosis, f"The gap: {telemetry.name}", record=record, **commands)
         write_page(page, html)
 
 
-def _say(output: Output, diagnosis: Diagnosis, html: Path | None, close: Path | None, *, closed: bool) -> None:
+def _say(
+    output: Output, diagnosis: Diagnosis, html: Path | None, close: Path | None, *, closed: bool, correct: str = ""
+) -> None:
     from fluxtwin import diagnosis_page
 
     for note in diagnosis.notes:
@@ -194,4 +204,5 @@ def _say(output: Output, diagnosis: Diagnosis, html: Path | None, close: Path | 
     output.tables(diagnosis_page.tables(diagnosis))
     output.files([html, close if closed else None], "written: ")
     if closed and close is not None:
-        output.prose(f"Next: {diagnosis_page.CORRECT.replace('CLOSED.toml', str(close))}")
+        simulate = f"fluxtwin simulate {shlex.quote(str(close))} --out simulated.nc simulates with the named effects"
+        output.prose(f"Next: {diagnosis_page.correcting(diagnosis, correct) or simulate}")

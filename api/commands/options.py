@@ -111,6 +111,11 @@ class Reading(NamedTuple):
         return self.start is None and self.end is None and self.where is None
 
     @property
+    def of_all_rows(self) -> Reading:
+        """The same, of every row: what was found in some is applied to all."""
+        return self._replace(start=None, end=None, where=None)
+
+    @property
     def words(self) -> str:
         """The options that are given, as a shell takes them."""
         names = ("map", "tle", "attitude", "max_samples", "from", "to", "where", "magnetometer")
@@ -159,6 +164,17 @@ def read(path: Path, output: Output, reading: Reading, *, one_of_many: bool = Fa
     for notice in filter(None, record.provenance.get("notices", "").split("; ")):
         output.note(f"note: {path.name}: {notice}" if one_of_many else f"note: {notice}")
     return record
+
+
+def stem(telemetry: Path) -> str:
+    """What names of files that are made of it begin with."""
+    whole = telemetry.resolve()  # `.` and `..` have no name of their own
+    return whole.name if whole.is_dir() else whole.name.removesuffix(".gz").rsplit(".", 1)[0]
+
+
+def corrected_name(telemetry: Path, reading: Reading) -> str:
+    """The file for its corrected readings that a next step proposes, in the current folder."""
+    return f"{stem(telemetry)}-corrected{'-2' if reading.magnetometer == 2 else ''}.nc"
 
 
 def known_calibration(path: Path, record: Telemetry, output: Output) -> Calibration:

@@ -264,6 +264,12 @@ class TakenOut:
     """What is no error of readings or positions (clock, attitude, field), or cannot be known row by row (noise, bits)."""
 
 
+def can_be_taken_out(effect: Effect) -> bool:
+    """Whether `without_effects` takes it out: an error of positions, or of readings that is known row by row."""
+    own = isinstance(effect, SignalEffect) and effect.stage in OWN_STAGES and not effect.after_noise
+    return own or isinstance(effect, AlongTrackError)
+
+
 def without_effects(
     telemetry: Telemetry, model: FieldModel, instrument: Magnetometer, active: Sequence[Active]
 ) -> TakenOut:
@@ -274,11 +280,7 @@ def without_effects(
     Raises BadInput and NoAnswer as `pose`.
     """
     of_orbit = [one for one in active if isinstance(one[0], AlongTrackError)]
-    of_readings = [
-        one
-        for one in active
-        if isinstance(one[0], SignalEffect) and one[0].stage in OWN_STAGES and not one[0].after_noise
-    ]
+    of_readings = [one for one in active if can_be_taken_out(one[0]) and one not in of_orbit]
     setting = pose(telemetry, model, modelled=(), instrument=instrument).setting
     for effect, theta in of_orbit:
         assert isinstance(effect, AlongTrackError)

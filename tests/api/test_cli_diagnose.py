@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shlex
 from contextlib import redirect_stdout
 from dataclasses import dataclass
 from io import StringIO
@@ -167,6 +168,24 @@ def test_the_closed_scenario_simulates_and_closes_the_gap(late: Case, cli: Cli) 
     # two draws of the reading's noise, one attitude error of 0.05 deg in about 30,000 nT, fitted parameters
     assert rms < 1.2 * np.sqrt(2 * (30.0**2 + 10.0**2 / 12) + (np.radians(0.05) * 30_000.0) ** 2)
     assert rms < 0.7 * late.answer["gap"]["before_nT"]
+
+
+def test_next_is_a_command_that_runs(late: Case, cli: Cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A late clock cannot be taken out of the readings, a field of the torquers can."""
+    simulate_it = (
+        f"Next: fluxtwin simulate {late.folder / 'closed.toml'} --out simulated.nc simulates with the named effects"
+    )
+    assert " ".join(late.out.split()).endswith(simulate_it)
+    monkeypatch.chdir(tmp_path)
+    write_telemetry(simulate(fluxtwin.load_scenario("late_clock"))[0], tmp_path / "my flight.csv")
+    answer = cli("diagnose", "my flight.csv", "--close", "my closed.toml")
+    found = re.search(
+        "Next: (fluxtwin apply .*) corrects the telemetry with (.*) taken out", " ".join(answer.out.split())
+    )
+    assert found is not None and found[2] == "torquer_coupling"
+    again = cli(*shlex.split(found[1])[1:])
+    assert again.status == 0 and "effects taken out: torquer_coupling\n" in again.out
+    assert Path("my flight-corrected.nc").exists()
 
 
 def test_the_closed_scenario_says_for_which_designs_it_is_good_enough(late: Case) -> None:

@@ -215,7 +215,7 @@ def apply_closed(record: Telemetry, scenario: Scenario | Path | str, *, force: b
     if not force:
         require_applicable(record, known)
     found = without_effects(record, load_field(config.field.model, config.field.degree), instrument, frozen(config))
-    return replace(found, telemetry=apply_calibration(found.telemetry, known, force=force))
+    return replace(found, telemetry=apply_calibration(found.telemetry, known, force=force, sigma_is="noise"))
 
 
 def _require_something(record: Telemetry) -> None:

@@ -15,12 +15,15 @@ from fluxtwin.sim.telemetry.record import Telemetry, plain_text
 
 _DIGEST_SHOWN = 12  # hexadecimal digits: of a million calibrations two agree by chance with a probability of 0.2 %
 _NEAR_DEGC = 1.0  # no magnetometer that is worth calibrating changes within a degree
-_STAMP = re.compile(r"calibration ([0-9a-f]{12}(?: then [0-9a-f]{12})*) \(residual ([0-9.eE+-]+) nT\)")
+_STAMP = re.compile(r"calibration ([0-9a-f]{12}(?: then [0-9a-f]{12})*) \((?:residual|noise) ([0-9.eE+-]+) nT\)")
 
 
-def apply_calibration(telemetry: Telemetry, calibration: Calibration, *, force: bool = False) -> Telemetry:
+def apply_calibration(
+    telemetry: Telemetry, calibration: Calibration, *, force: bool = False, sigma_is: str = "residual"
+) -> Telemetry:
     """The same telemetry with `mag_B_nT` replaced by (I+S) B + b + T D (journal eq. 1); its provenance says so.
 
+    sigma_is: what the calibration's `sigma_nT` is: the residual of its fit, or the `noise` of a reading.
     Raises BadInput when the calibration does not fit the record (`require_applicable`; force lets it pass), has a T and
     the telemetry no dipole, or a column that it needs is missing. Warns where the record leaves the time or the temperatures
     that the calibration has seen, and where it has expired.
@@ -37,7 +40,7 @@ def apply_calibration(telemetry: Telemetry, calibration: Calibration, *, force: 
     own = calibration.digest[:_DIGEST_SHOWN]
     match = _STAMP.match(telemetry.corrected_by)
     chain = f"{match[1]} then {own}" if match else own
-    words = f"calibration {chain} (residual {calibration.sigma_nT:.3g} nT)"
+    words = f"calibration {chain} ({sigma_is} {calibration.sigma_nT:.3g} nT)"
     stamped = {"calibration": words, "calibration_note": note}
     return telemetry.replace(mag_B_nT=corrected, provenance={**telemetry.provenance, **stamped})
 
@@ -118,7 +121,7 @@ def _span_words(calibration: Calibration) -> str:
 def calibration_of(telemetry: Telemetry, calibration: Calibration | None, *, force: bool = False) -> Calibration:
     """What still has to be applied to a record: the calibration, or nothing where its readings are corrected.
 
-    None is for a corrected record: S = 0, b = 0, and the residual that its calibration had stated. Raises BadInput for
+    None is for a corrected record: S = 0, b = 0, and the residual or noise that its mark states. Raises BadInput for
     None with readings that are not corrected, and as `require_applicable`, unless force.
     """
     if calibration is not None:
@@ -136,6 +139,6 @@ def calibration_of(telemetry: Telemetry, calibration: Calibration | None, *, for
 
 
 def known_sigma_nT(telemetry: Telemetry) -> float | None:
-    """Residual of a component [nT] that the calibration of corrected readings had stated; None where unknown."""
+    """Residual or noise of a component [nT] that the mark of corrected readings states; None where unknown."""
     match = _STAMP.match(telemetry.corrected_by)
     return None if match is None else float(match[2])

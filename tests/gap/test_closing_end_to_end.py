@@ -16,6 +16,8 @@ import pytest
 from worlds import COARSE_MAGNETOMETER, THERMAL, scenario_text
 
 from fluxtwin import diagnosing
+from fluxtwin.calib.common.apply import known_sigma_nT
+from fluxtwin.diagnosis_page import correcting
 from fluxtwin.gap.records.diagnosis import Diagnosis
 from fluxtwin.sim.run.simulate import simulate
 from fluxtwin.sim.scenario.scenario import Scenario, load_scenario, parse_scenario, save_scenario
@@ -82,6 +84,18 @@ def test_what_transfers_leaves_no_gap_on_another_day(name: str) -> None:
     changed = np.array(later.mag_B_nT) - np.array(plain.mag_B_nT)
     assert np.sqrt(np.mean(changed**2)) > FLAGS["noise_nT"], "there was something to close on that day"
     assert diagnosing.diagnose(later, scenario=scene, **FLAGS).verdict == "no_gap"
+
+
+@pytest.mark.parametrize("name", ["thermal_bias_drift", "time_tag_offset", "excess_noise"])
+def test_the_next_step_takes_out_what_apply_takes_out(name: str) -> None:
+    found, scene = closed(f"[effects.{name}]\n{HOLDS[name]}\n")
+    out = diagnosing.apply_closed(flown("", FIRST, 11), scene)
+    assert out.taken == ((name,) if name == "thermal_bias_drift" else ())
+    said = correcting(found, "fluxtwin apply ...")
+    assert said == (f"fluxtwin apply ... corrects the telemetry with {name} taken out" if out.taken else "")
+    noise_nT = scene.magnetometer.noise_nT
+    assert out.telemetry.corrected_by.endswith(f" (noise {noise_nT:.3g} nT)"), "the residual is not known"
+    assert known_sigma_nT(out.telemetry) == float(f"{noise_nT:.3g}")
 
 
 def test_a_jump_of_the_past_says_that_it_does_not_transfer() -> None:

@@ -196,7 +196,7 @@ class AttitudeLag(SignalEffect):
         "to the telemetry take time (star trackers some 0.1 s: Advances in Space Research 72, 200, 2023; a whole cycle of "
         "the software, if the last known attitude is reported)"
     )
-    parameters = (Parameter("lag", "s", 0.5, -600.0, 600.0),)
+    parameters = (Parameter("lag", "s", 0.5, 0.0, 600.0),)
 
     def untestable(self, setting: Setting) -> str | None:
         return "one row alone shows no motion" if setting.time.size < 2 else None

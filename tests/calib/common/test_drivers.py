@@ -202,6 +202,40 @@ def test_a_delay_and_a_lag_together_are_told_apart(method: str) -> None:
     assert total < chi2.ppf(1.0 - ALARM, 12)
 
 
+def strongly_late(seed: int, delays_s: tuple[float, ...]) -> tuple[Telemetry, FloatArray]:
+    """A record with currents of 80 mA at most that change every five minutes, fields of some 6 nT/mA that follow them late,
+    and the fields."""
+    record, rng = flown(seed), np.random.default_rng(seed)
+    B = record.mag_B_nT - sum(np.outer(record.drivers[name.removeprefix("driver_")], k) for name, k in K.items())
+    seconds, field = seconds_of(record.time), np.zeros((ROWS, 3))
+    currents = {}
+    for name, delay_s, k in zip("xyz", delays_s, np.diag([-6.0, 5.0, -8.0]) + 0.3, strict=False):
+        currents[f"mtq_{name}"] = np.repeat(rng.uniform(-80.0, 80.0, ROWS // 20), 20)
+        field += np.outer(late(seconds, currents[f"mtq_{name}"], delay_s, 0.0), k)
+    return record.replace(mag_B_nT=B + field, drivers=currents), field
+
+
+@pytest.mark.parametrize("seed", [31, 32])
+@pytest.mark.parametrize("delays_s", [(40.0,), (40.0, 55.0, 25.0)])
+def test_a_strong_field_that_is_late_leaves_no_outliers(delays_s: tuple[float, ...], seed: int) -> None:
+    """Rows that it reaches late lie forty times the noise away from a fit without a delay, and are not its outliers. What
+    switches between two rows is known to a row."""
+    record, field = strongly_late(seed, delays_s)
+    broken = np.array(record.mag_B_nT)
+    broken[100:900:100, 1] += 4096.0
+    fit = fit_of(record.replace(mag_B_nT=broken), driver=["all"])
+    found = [bias.delay_s + bias.lag_s for bias in fit.calibration.telemetry_bias.values()]
+    assert np.abs(np.subtract(found, delays_s)).max() <= STEP_S
+    assert set(np.flatnonzero(~fit.kept)) >= set(range(100, 900, 100)) and (~fit.kept).sum() < 15
+    left = (
+        apply_calibration(record, fit.calibration).mag_B_nT
+        - apply_calibration(
+            record.replace(mag_B_nT=record.mag_B_nT - field), dataclasses.replace(fit.calibration, telemetry_bias={})
+        ).mag_B_nT
+    )
+    assert np.median(np.abs(left)) < 10.0, "less than the noise, but for rows in which it switches"
+
+
 def test_a_field_that_is_not_late_is_not_called_late() -> None:
     """At most one of these 16 columns: by chance one in a hundred is."""
     found = [fit_of(flown(seed), driver=["all"]).calibration.telemetry_bias for seed in range(8)]

@@ -179,7 +179,11 @@ class _Reader:
             return epoch.utc_of(self._written(recipe, notices), recipe.scale or "UTC")
         raw = self.numbers(recipe.names)
         raw[np.isin(raw[:, 0], recipe.invalid), 0] = np.nan
-        return time_stamps.utc_of_local(time_stamps.stamps_of_counts(raw, recipe), recipe.zone, self.where)
+        stamps, counted = time_stamps.stamps_of_counts(raw, recipe), np.isfinite(raw).all(axis=1)
+        if counted.any() and np.isnat(stamps[counted]).all():
+            wanted = "the recipe that the stamps were made with (docs/telemetry.md)"
+            raise BadInput(time_stamps.beyond(raw[counted][0], recipe), where=self.where, wanted=wanted)
+        return time_stamps.utc_of_local(stamps, recipe.zone, self.where)
 
 
 def _source(reader: _Reader, entry: FileEntry, notices: list[str], digest: str) -> Source:

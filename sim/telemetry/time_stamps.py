@@ -184,6 +184,7 @@ COUNTED: dict[str, Counted] = {
 _JD_OF_ORIGIN = 2_400_000.0
 """Day that `jd` is counted from: the origin above, 1858-11-16T12:00."""
 NAMES = (*TEXT, *COUNTED)
+_SPACE_AGE, _LATEST = np.datetime64("1957-10-04", "ns"), np.datetime64(f"{_LAST_YEAR}-01-01", "ns")
 
 
 def stamps_of_counts(raw: FloatArray, recipe: TimeRecipe) -> TimeArray:
@@ -198,6 +199,19 @@ def stamps_of_counts(raw: FloatArray, recipe: TimeRecipe) -> TimeArray:
         return epoch.utc_of(_added(origin, parts, units_s), scale)
     in_tai = epoch.stamp_in(origin, "TAI")[0]  # SI seconds since a UTC instant, leap seconds counted
     return epoch.utc_of(_added(in_tai, parts, units_s), "TAI")
+
+
+def beyond(first: FloatArray, recipe: TimeRecipe) -> str:
+    """Words on the counts (k,) of a row, of which the recipe makes a stamp far beyond any mission, with a recipe that fits."""
+    counts = " and ".join(f"{name} is {value:.15g}" for name, value in zip(recipe.names, first, strict=True))
+    for name, how in COUNTED.items():
+        if len(how.units_s) == first.size and how.origin is not None and name.startswith("unix"):
+            stamp = _added(how.origin, first[None], how.units_s)[0]
+            if not np.isnat(stamp) and _SPACE_AGE <= stamp < _LATEST:
+                return (
+                    f"{counts}: far beyond any mission as {recipe.recipe}; as {name} it is {format_iso(stamp[None])[0]}"
+                )
+    return f"{counts}: far beyond any mission as {recipe.recipe}"
 
 
 def _added(origin: np.datetime64, parts: FloatArray, units_s: tuple[float, ...]) -> TimeArray:

@@ -96,6 +96,15 @@ def test_unix_time_and_days_count_no_leap_seconds(tmp_path: Path, name: str) -> 
     assert np.abs(found - STAMPS).max() <= NANOSECOND * limit
 
 
+def test_stamps_far_beyond_any_mission_are_answered_with_the_recipe_that_fits(tmp_path: Path) -> None:
+    counts = [str(n // 10**6) for n in UNIX]
+    said = (
+        f"c0 is {counts[0]}: far beyond any mission as unix_s; as unix_ms it is {STAMPS[0].astype('datetime64[ms]')}Z"
+    )
+    with pytest.raises(BadInput, match=said):
+        read(tmp_path, 'recipe = "unix_s"', counts, counts)
+
+
 DAYS = (STAMPS - np.datetime64("1958-01-01")).astype("int64")
 UNITS = {
     "weeks and milliseconds": (

@@ -202,7 +202,7 @@ def stamps_of_counts(raw: FloatArray, recipe: TimeRecipe) -> TimeArray:
 
 
 def beyond(first: FloatArray, recipe: TimeRecipe) -> str:
-    """Words on the counts (k,) of a row, of which the recipe makes a stamp far beyond any mission, with a recipe that fits."""
+    """Words on the counts (k,) of a row that the recipe puts far beyond any mission, with a recipe that fits."""
     counts = " and ".join(f"{name} is {value:.15g}" for name, value in zip(recipe.names, first, strict=True))
     for name, how in COUNTED.items():
         if len(how.units_s) == first.size and how.origin is not None and name.startswith("unix"):

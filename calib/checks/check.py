@@ -20,7 +20,7 @@ from fluxtwin.calib.checks.report import CheckReport, Finding, note, report, tra
 from fluxtwin.calib.checks.sample import comparable
 from fluxtwin.calib.checks.stuck import check_held, check_stuck
 from fluxtwin.calib.checks.unit import check_calibrated
-from fluxtwin.calib.checks.values import check_motion, check_readings
+from fluxtwin.calib.checks.values import check_motion, check_readings, unreachable
 from fluxtwin.calib.common.records import Onboard
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.limits import MAX_SAMPLES
@@ -105,6 +105,7 @@ def check_telemetry(telemetry: Telemetry, model: FieldModel, *, onboard: Onboard
     """
     stuck, faulty = check_stuck(telemetry)
     motion = check_motion(telemetry)
+    faulty = faulty | unreachable(telemetry)
     held, fresh = check_held(telemetry)
     if held and int((fresh & ~faulty).sum()) >= _QUIET_ROWS:  # what holds of the others is seen in rows that are new
         faulty = faulty | ~fresh

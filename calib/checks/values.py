@@ -17,6 +17,8 @@ FEW_SAMPLES = 150
 """The smallest record the estimators are built and tested for."""
 LOWEST_ORBIT_KM = 6430.0
 """Below about 70 km altitude nothing orbits; a smaller radius is no position."""
+FASTEST_KM_S, HELD_KM = 11.2, 1000.0
+"""What leaves the Earth from its surface, and two minutes of orbit, by which a position that was held may jump."""
 FLAG_S, FLAG_ROWS = 120.0, 3
 """Shadow edges are uncertain by some tens of seconds (air, flattening, slow flags); longer is a contradiction."""
 VELOCITY_RATIO = 0.02
@@ -109,7 +111,45 @@ def _positions(telemetry: Telemetry) -> list[Finding]:
         zero = " (zero often means that there was no fix)" if (size[low] < 1.0).any() else ""
         first = {"lowest": LOWEST_ORBIT_KM, "size": size[low[0]], "zero": zero}
         return [trap("position_inside_earth", low, count=low.size, **first)]
+    away = np.flatnonzero(unreachable(telemetry))
+    if away.size:
+        return [trap("position_jumps", away, count=away.size, fill=_fill_of_positions(r[away]))]
     return [*_orbit_plane(time, r), *_velocity(telemetry, r)]
+
+
+def unreachable(telemetry: Telemetry) -> BoolArray:
+    """(N,) rows whose position nothing in orbit could reach from that of most others: faster than it leaves the Earth."""
+    out = np.zeros(len(telemetry), dtype=np.bool_)
+    known = np.flatnonzero(telemetry.has_position)
+    if known.size < 3 or telemetry.r_N_km is None:
+        return out
+    seconds, r_km = (telemetry.time[known] - telemetry.time[0]) / np.timedelta64(1, "s"), telemetry.r_N_km[known]
+
+    def far(one: np.ndarray, other: np.ndarray) -> BoolArray:
+        reach_km = FASTEST_KM_S * np.abs(seconds[other] - seconds[one]) + HELD_KM
+        return np.asarray(np.linalg.norm(r_km[other] - r_km[one], axis=1) > reach_km)
+
+    row = np.arange(known.size)
+    stretch = np.concatenate([[0], np.cumsum(far(row[:-1], row[1:]))])
+    counts = np.bincount(stretch)
+    good = stretch == counts.argmax()
+    for one in np.argsort(-counts, kind="stable")[1:]:
+        own, near = row[stretch == one], row[good]
+        after = int(np.searchsorted(near, own[0]))
+        before, ends = near[max(after - 1, 0) : after], near[after : after + 1]
+        good[own] = not (far(before, own[: before.size]).any() or far(ends, own[-1:][: ends.size]).any())
+    if good.sum() > known.size / 2:  # else unit or frame are wrong, and not single rows
+        out[known[~good]] = True
+    return out
+
+
+def _fill_of_positions(r_km: FloatArray) -> str:
+    """A sentence where one number stands in a component of several of the rows (n, 3); else empty."""
+    for part in r_km.T:
+        values, counts = np.unique(part, return_counts=True)
+        if counts.max() > 1:
+            return f"In {counts.max()} of them one component is {values[counts.argmax()]:.10g} km, a fill value. "
+    return ""
 
 
 def _orbit_plane(time: TimeArray, r_N_km: FloatArray) -> list[Finding]:

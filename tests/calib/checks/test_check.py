@@ -216,6 +216,12 @@ def no_fix(record: Telemetry) -> Telemetry:
     return record.replace(r_N_km=r)
 
 
+def filled_position(record: Telemetry) -> Telemetry:
+    r = np.array(record.r_N_km)
+    r[[40, 41, 42, 300], 0] = -9999.0
+    return record.replace(r_N_km=r)
+
+
 TRAPS: dict[str, tuple[Callable[[Telemetry], Telemetry], str, str]] = {
     "counts": (lambda t: times(t, 100.7), "magnetometer_unit", "counts of 0.01 nT labelled as nT"),
     "offset binary": (
@@ -250,6 +256,7 @@ TRAPS: dict[str, tuple[Callable[[Telemetry], Telemetry], str, str]] = {
     "dead axis": (lambda t: axes(t, [0, 1, 2], [1, 1, 0]), "stuck_axis", "mag_z is"),
     "sunlit": (lambda t: t.replace(sunlit=1.0 - np.array(t.sunlit)), "sunlit_flag", "where geometry says"),
     "no fix": (no_fix, "position_inside_earth", "there was no fix"),
+    "fill in a position": (filled_position, "position_jumps", "one component is -9999 km, a fill value"),
     "ten rows": (lambda t: t.select(slice(0, 10)), "too_few_samples", "10 rows have a reading"),
     "time zone": (
         lambda t: t.replace(time=t.time + np.timedelta64(5 * 3600, "s"), q_NB=None),

@@ -18,7 +18,7 @@ from fluxtwin.calib.checks.field import check_field
 from fluxtwin.calib.checks.outliers import check_outliers
 from fluxtwin.calib.checks.report import CheckReport, Finding, note, report, trap
 from fluxtwin.calib.checks.sample import comparable
-from fluxtwin.calib.checks.stuck import check_stuck
+from fluxtwin.calib.checks.stuck import check_held, check_stuck
 from fluxtwin.calib.checks.unit import check_calibrated
 from fluxtwin.calib.checks.values import check_motion, check_readings
 from fluxtwin.calib.common.records import Onboard
@@ -103,9 +103,12 @@ def check_telemetry(telemetry: Telemetry, model: FieldModel, *, onboard: Onboard
 
     onboard: what is said to have been applied to the readings on board.
     """
+    held, telemetry = check_held(telemetry)
     stuck, faulty = check_stuck(telemetry)
     motion = check_motion(telemetry)
     findings = [*stuck, *motion, *check_readings(telemetry)]
+    if held:
+        findings = [*held, *(finding for finding in findings if not finding.code.startswith("missing_"))]
     lost = any(finding.severity == "trap" and finding.code in POSITION_TRAPS for finding in motion)
     if not lost and (telemetry.has_reading & ~faulty).any():
         usable, against_field = _against_field(telemetry, model, ~faulty)

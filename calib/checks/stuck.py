@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from fluxtwin.calib.checks.report import Finding, trap
+from fluxtwin.calib.checks.sample import FEWEST
 from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
 from fluxtwin.sim.telemetry.origin import Origin
 from fluxtwin.sim.telemetry.record import Telemetry
@@ -17,6 +18,9 @@ STUCK_STEPS = 3.0
 """A run is stuck when elsewhere 99 % of stretches of that length move by more than this many least steps."""
 LONGER, MUCH_LONGER = 3.0, 10.0
 """And when it is so many times longer than the runs that coarse steps make, and ends with a jump; or much longer."""
+_REGULAR = 0.8
+"""Share of the values of a sensor that is held which last the usual number of rows, as rows may be lost. What coarse steps
+repeat on three axes at once lasts now one row, now several: by chance half of them alike."""
 _WINDOWS, _LONGEST_RUNS = 400, 50
 
 
@@ -50,6 +54,56 @@ def check_stuck(telemetry: Telemetry) -> tuple[list[Finding], BoolArray]:
             long = _lengths(alone, telemetry.time)
             findings.append(trap("stuck_axis.at_times", np.flatnonzero(alone), axis="xyz"[axis], **long))
     return findings, some
+
+
+def check_held(telemetry: Telemetry) -> tuple[list[Finding], Telemetry]:
+    """The traps `held`, of what is slower than the rows and repeated between its samples throughout; and the record with
+    blanks for what is repeated, in which the other faults show as they are."""
+    findings: list[Finding] = []
+    blanked: dict[str, object] = {}
+    for name, what, mend in (
+        ("mag_B_nT", "reading", "Keep the rows in which it changes"),
+        ("q_NB", "attitude", _OWN_FILE),
+        ("r_N_km", "position", _OWN_FILE),
+    ):
+        values = getattr(telemetry, name)
+        held = None if values is None else _held(values)
+        if held is not None:
+            lasting, same = held
+            repeated = {"repeats": int(same.sum()), "rows": len(telemetry)}
+            findings.append(trap("held", np.flatnonzero(same), what=what, lasting=lasting, mend=mend, **repeated))
+            blanked[name] = np.where(same[:, None], np.nan, values)
+    return findings, telemetry.replace(**blanked, origin=telemetry.origin) if blanked else telemetry
+
+
+_OWN_FILE = (
+    "Blank the cells that repeat, and read it through a [[file]] of its own in a column map, which interpolates "
+    "(docs/telemetry.md, sensors at different rates)"
+)
+
+
+def _held(values: FloatArray) -> tuple[str, BoolArray] | None:
+    """How many rows a value (N, k) lasts, in words, and which rows (N,) repeat the one before; None unless that is regular.
+
+    All components stand still at once, and then move by several of their least steps: rounding of what moves so fast
+    would not hide the motion in between.
+    """
+    known = np.flatnonzero(np.isfinite(values).all(axis=1))
+    moved = np.diff(values[known], axis=0)
+    new = np.flatnonzero((moved != 0.0).any(axis=1))
+    lengths = np.diff(new)
+    if lengths.size < FEWEST or lengths.mean() < 1.5:
+        return None
+    usual = np.unique(np.floor([np.median(lengths), lengths.mean(), lengths.mean() + 1.0]))
+    step = np.abs(moved[new]).max(axis=1)
+    if np.isin(lengths, usual[usual > 0]).mean() < _REGULAR or np.median(step) <= STUCK_STEPS * least_step(
+        values[known]
+    ):
+        return None
+    same = np.zeros(len(values), dtype=bool)
+    same[known[1:]] = ~(moved != 0.0).any(axis=1)
+    first, last = (int(value) for value in np.percentile(lengths, [10, 90], method="nearest"))
+    return f"{first}" if first == last else f"{first} to {last}", same
 
 
 def fill_words(mag_nT: FloatArray, origin: Origin) -> str:

@@ -21,6 +21,7 @@ from fluxtwin.calib.checks.evidence import _covariances
 from fluxtwin.calib.checks.orientation import _mountings
 from fluxtwin.calib.checks.outliers import without_gross_outliers
 from fluxtwin.calib.checks.sample import comparable
+from fluxtwin.calib.checks.stuck import _held, check_held
 from fluxtwin.calib.checks.unit import _misfit_nT
 from fluxtwin.calib.checks.values import _plane_wander
 from fluxtwin.scenarios.seasat import mission
@@ -694,3 +695,38 @@ def test_two_rows_between_gaps_do_not_end_a_check(model: FieldModel) -> None:
     assert found is not None and len(found) == rows.size - 2
     assert np.isfinite(found.v_N_km_s).all()
     assert [one.severity for one in check_clock(found, model, Origin(attitude="orbital"))] == ["note"]
+
+
+@pytest.mark.parametrize("rows", [2, 3, 6])
+@pytest.mark.parametrize("what", ["reading", "attitude", "position"])
+def test_what_is_repeated_between_its_samples_is_named(what: str, rows: int, model: FieldModel) -> None:
+    record = good(model, mode="tumble")
+    column = {"reading": "mag_B_nT", "attitude": "q_NB", "position": "r_N_km"}[what]
+    held = np.array(getattr(record, column))[np.arange(len(record)) // rows * rows]
+    (found,) = check_telemetry(record.replace(**{column: held}, v_N_km_s=None), model).traps
+    assert found.code == "held" and f"the {what} lasts for {rows} rows" in found.text
+    assert found.row_count == len(record) - len(record) // rows and found.rows[0] == 2
+
+
+def test_samples_of_a_rate_that_is_no_multiple_are_seen_to_be_held(model: FieldModel) -> None:
+    record = good(model, mode="tumble")
+    held = np.array(record.mag_B_nT)[(np.arange(len(record)) * 0.4).astype(int)]
+    (found,) = (one for one in check_telemetry(record.replace(mag_B_nT=held), model).traps if one.code == "held")
+    assert "lasts for 2 to 3 rows" in found.text
+
+
+@pytest.mark.parametrize("step_s", [0.1, 1.0, 10.0])
+@pytest.mark.parametrize("mode", ["earth", "hold", "spin", "tumble", "wide"])
+def test_coarse_steps_of_what_moves_slowly_are_not_held(mode: str, step_s: float, model: FieldModel) -> None:
+    """They repeat values too, and for long, but go on by a step."""
+    record = good(model, 3, mode=mode, step_s=step_s, rows=1500)
+    turn = Rotation.from_rotvec([0.3, 0.5, 0.7]).as_matrix()
+    for step_nT in (500.0, 2000.0):
+        mag = np.round(np.array(record.mag_B_nT) / step_nT) * step_nT
+        assert check_held(record.replace(mag_B_nT=mag))[0] == []
+        assert check_held(record.replace(mag_B_nT=mag @ turn))[0] == []
+    for step in (1e-2, 1e-3):
+        assert _held(np.round(np.array(record.q_NB) / step) * step) is None
+    for step in (1.0, 10.0):
+        assert _held(np.round(np.array(record.r_N_km) / step) * step) is None
+    assert check_held(record.replace(q_NB=np.array(record.q_NB)[[0] * len(record)]))[0] == []

@@ -103,13 +103,13 @@ def check_telemetry(telemetry: Telemetry, model: FieldModel, *, onboard: Onboard
 
     onboard: what is said to have been applied to the readings on board.
     """
+    held, telemetry = check_held(telemetry)
     stuck, faulty = check_stuck(telemetry)
     motion = check_motion(telemetry)
     faulty = faulty | unreachable(telemetry)
-    held, fresh = check_held(telemetry)
-    if held and int((fresh & ~faulty).sum()) >= _QUIET_ROWS:  # what holds of the others is seen in rows that are new
-        faulty = faulty | ~fresh
-    findings = [*stuck, *held, *motion, *check_readings(telemetry)]
+    findings = [*stuck, *motion, *check_readings(telemetry)]
+    if held:
+        findings = [*held, *(finding for finding in findings if not finding.code.startswith("missing_"))]
     lost = any(finding.severity == "trap" and finding.code in POSITION_TRAPS for finding in motion)
     if not lost and (telemetry.has_reading & ~faulty).any():
         usable, against_field = _against_field(telemetry, model, ~faulty)

@@ -56,22 +56,24 @@ def check_stuck(telemetry: Telemetry) -> tuple[list[Finding], BoolArray]:
     return findings, some
 
 
-def check_held(telemetry: Telemetry) -> tuple[list[Finding], BoolArray]:
-    """The traps `held`, of what is slower than the rows and repeated between its samples throughout; and the rows (N,) in
-    which readings, attitude and position are new."""
-    findings, fresh = [], np.ones(len(telemetry), dtype=bool)
-    for what, mend, values in (
-        ("reading", "Keep the rows in which it changes", telemetry.mag_B_nT),
-        ("attitude", _OWN_FILE, telemetry.q_NB),
-        ("position", _OWN_FILE, telemetry.r_N_km),
+def check_held(telemetry: Telemetry) -> tuple[list[Finding], Telemetry]:
+    """The traps `held`, of what is slower than the rows and repeated between its samples throughout; and the record with
+    blanks for what is repeated, in which the other faults show as they are."""
+    findings: list[Finding] = []
+    blanked: dict[str, object] = {}
+    for name, what, mend in (
+        ("mag_B_nT", "reading", "Keep the rows in which it changes"),
+        ("q_NB", "attitude", _OWN_FILE),
+        ("r_N_km", "position", _OWN_FILE),
     ):
+        values = getattr(telemetry, name)
         held = None if values is None else _held(values)
         if held is not None:
             lasting, same = held
             repeated = {"repeats": int(same.sum()), "rows": len(telemetry)}
             findings.append(trap("held", np.flatnonzero(same), what=what, lasting=lasting, mend=mend, **repeated))
-            fresh &= ~same
-    return findings, fresh
+            blanked[name] = np.where(same[:, None], np.nan, values)
+    return findings, telemetry.replace(**blanked, origin=telemetry.origin) if blanked else telemetry
 
 
 _OWN_FILE = (

@@ -325,6 +325,7 @@ def cases() -> list[Single]:
         _of("yaw_drift", [0.3]),
         _of("yaw_drift", [2.0], settings={"when": "eclipse"}, label="yaw_drift in eclipse"),
         _of("attitude_step", vector, "tumble", settings={"at": "2020-03-01T03:11:40Z"}),
+        _of("attitude_lag", [4.0], "tumble"),
         _of("torquer_coupling", nine),
         _of("solar_array_current", vector),
         _of("solar_array_current", vector, without=("power",), label="solar_array_current, no column"),

@@ -43,7 +43,7 @@ def _plain(value: Any) -> Any:
 
 def _record(path: Path) -> Any:
     read = read_telemetry(path)
-    named = {one.name: getattr(read, one.name) for one in fields(read) if one.name != "provenance"}
+    named = {one.name: getattr(read, one.name) for one in fields(read) if one.name not in ("provenance", "origin")}
     kept = {key: text for key, text in read.provenance.items() if key in ("spacecraft", "generator")}
     # none of these is in the file; a later fluxtwin may know more of them
     return _plain({name: value for name, value in named.items() if value is not None and np.size(value)} | kept)

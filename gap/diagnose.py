@@ -140,7 +140,7 @@ def diagnose(
 
 def _with_law(work: Work, found: Diagnosis, progress: Progress) -> Diagnosis:
     """The diagnosis with the law of what its names leave; where they leave nothing, as it is."""
-    open_ = (found.verdict == "unknown" and not verdict.only_outliers(work)) or found.gap.shape_incomplete
+    open_ = (found.verdict == "unknown" and words.APART_FROM_THEM not in found.sentence) or found.gap.shape_incomplete
     exact = any(effect.by_definition for effect, _ in work.answer.result.chosen)  # what it leaves is not its shape
     in_torques = work.momentum.unexplained and work.known >= 0.5
     if not (open_ or exact) or in_torques or found.closure is None:

@@ -24,12 +24,12 @@ def command(
 
     For a foreign file without --map, only the header is listed.
     """
+    from fluxtwin.describing import info
+
     output.claim({}, [*files, *reading.files])
     found = []
     for path in files:  # what was read is shown, though a later one cannot be read
         with output.progress(f"reading {path}"):
-            from fluxtwin.describing import info
-
             found.append(info(path, **reading._asdict()))
         _print(output, found[-1])
     output.result({"files": [one.to_dict() for one in found]})

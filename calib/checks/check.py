@@ -20,7 +20,7 @@ from fluxtwin.calib.checks.report import CheckReport, Finding, note, report, tra
 from fluxtwin.calib.checks.sample import comparable
 from fluxtwin.calib.checks.stuck import check_held, check_stuck
 from fluxtwin.calib.checks.unit import check_calibrated
-from fluxtwin.calib.checks.values import check_motion, check_readings, unreachable
+from fluxtwin.calib.checks.values import check_motion, check_readings
 from fluxtwin.calib.common.records import Onboard
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.limits import MAX_SAMPLES
@@ -28,10 +28,7 @@ from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.earth.field import FieldModel
 from fluxtwin.sim.telemetry.build import record
-from fluxtwin.sim.telemetry.column_map import (
-    mapped_table,
-    recognised,
-)
+from fluxtwin.sim.telemetry.column_map import mapped_table, recognised
 from fluxtwin.sim.telemetry.columns import FileTable
 from fluxtwin.sim.telemetry.record import Telemetry
 from fluxtwin.sim.telemetry.selection import Selection, selection
@@ -105,8 +102,8 @@ def check_telemetry(telemetry: Telemetry, model: FieldModel, *, onboard: Onboard
     """
     held, telemetry = check_held(telemetry)
     stuck, faulty = check_stuck(telemetry)
-    motion = check_motion(telemetry)
-    faulty = faulty | unreachable(telemetry)
+    motion, away = check_motion(telemetry)
+    faulty = faulty | away
     findings = [*stuck, *motion, *check_readings(telemetry)]
     if held:
         findings = [*held, *(finding for finding in findings if not finding.code.startswith("missing_"))]
@@ -179,7 +176,7 @@ def check_file(
         ordered.columns.update({f"mag_{axis}_nT": np.full(ordered.time.size, np.nan) for axis in "xyz"})
     telemetry = record(ordered, tle=None if mapped else tle, attitude=attitude).with_magnetometer(magnetometer)
     inner = (
-        [*check_motion(telemetry), note("no_magnetometer")]
+        [*check_motion(telemetry)[0], note("no_magnetometer")]
         if blind
         else check_telemetry(telemetry, model, onboard=onboard).findings
     )

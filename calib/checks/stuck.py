@@ -96,9 +96,8 @@ def _held(values: FloatArray) -> tuple[str, BoolArray] | None:
         return None
     usual = np.unique(np.floor([np.median(lengths), lengths.mean(), lengths.mean() + 1.0]))
     step = np.abs(moved[new]).max(axis=1)
-    if np.isin(lengths, usual[usual > 0]).mean() < _REGULAR or np.median(step) <= STUCK_STEPS * least_step(
-        values[known]
-    ):
+    regular = np.isin(lengths, usual[usual > 0]).mean() >= _REGULAR
+    if not regular or np.median(step) <= STUCK_STEPS * least_step(values[known]):
         return None
     same = np.zeros(len(values), dtype=bool)
     same[known[1:]] = ~(moved != 0.0).any(axis=1)

@@ -39,20 +39,22 @@ def check_readings(telemetry: Telemetry) -> list[Finding]:
     return missing
 
 
-def check_motion(telemetry: Telemetry) -> list[Finding]:
-    """The checks that need no magnetometer: steps of time, positions, velocity, sunlit flag.
+def check_motion(telemetry: Telemetry) -> tuple[list[Finding], BoolArray]:
+    """The checks that need no magnetometer: steps of time, positions, velocity, sunlit flag; and the rows (N,) whose
+    position cannot be.
 
     What follows from wrong positions is not named beside them.
     """
+    away = _unreachable(telemetry)
     findings = _steps(telemetry)
     if telemetry.r_N_km is not None:
         findings += _missing_rows(telemetry, "position", telemetry.has_position)
     if telemetry.q_NB is not None:
         findings += _missing_rows(telemetry, "attitude", telemetry.has_attitude)
-    positions = _positions(telemetry)
+    positions = _positions(telemetry, np.flatnonzero(away))
     if not positions and telemetry.sunlit is not None and telemetry.r_N_km is not None:
         positions = check_sunlit(telemetry.time, np.array(telemetry.r_N_km), np.array(telemetry.sunlit))
-    return [*findings, *positions]
+    return [*findings, *positions], away
 
 
 def check_sunlit(time: TimeArray, r_N_km: FloatArray, sunlit: FloatArray) -> list[Finding]:
@@ -101,7 +103,7 @@ def _missing_rows(telemetry: Telemetry, name: str, present: BoolArray) -> list[F
     return [note(f"missing_{name}", rows, count=rows.size, rows=len(telemetry))] if rows.size else []
 
 
-def _positions(telemetry: Telemetry) -> list[Finding]:
+def _positions(telemetry: Telemetry, away: np.ndarray) -> list[Finding]:
     if telemetry.r_N_km is None:
         return []
     r, time = np.array(telemetry.r_N_km), telemetry.time
@@ -111,13 +113,12 @@ def _positions(telemetry: Telemetry) -> list[Finding]:
         zero = " (zero often means that there was no fix)" if (size[low] < 1.0).any() else ""
         first = {"lowest": LOWEST_ORBIT_KM, "size": size[low[0]], "zero": zero}
         return [trap("position_inside_earth", low, count=low.size, **first)]
-    away = np.flatnonzero(unreachable(telemetry))
     if away.size:
         return [trap("position_jumps", away, count=away.size, fill=_fill_of_positions(r[away]))]
     return [*_orbit_plane(time, r), *_velocity(telemetry, r)]
 
 
-def unreachable(telemetry: Telemetry) -> BoolArray:
+def _unreachable(telemetry: Telemetry) -> BoolArray:
     """(N,) rows whose position nothing in orbit could reach from that of most others: faster than it leaves the Earth."""
     out = np.zeros(len(telemetry), dtype=np.bool_)
     known = np.flatnonzero(telemetry.has_position)

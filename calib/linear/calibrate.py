@@ -88,8 +88,12 @@ def calibrate_linear(records: Telemetry | Sequence[Telemetry], model: FieldModel
         again: dict[str, Any] = {"model_name": model.name, "weights": weights, "passes": passes}
         return _beside(used, options, *_weighted_fields(fit, used), noise=fit.noise, **again)
 
-    def drops(fit: LinearFit, *asked_of: Any) -> FloatArray:
-        return np.zeros(asked_of[-1].shape[1]) if fit.error_model is None else _drops(fit, design, *asked_of)
+    def drops(
+        fit: LinearFit, of_fit: drivers.Columns, now: drivers.Columns, name: str, tried: FloatArray
+    ) -> FloatArray:
+        if fit.error_model is None:
+            return np.zeros(tried.shape[1])
+        return _drops(fit, design, of_fit, now, name, tried)
 
     others = [design.H_nT] if options.parameters != "b" else []
     others += [] if design.D_Am2 is None else [design.D_Am2]

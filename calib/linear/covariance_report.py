@@ -162,10 +162,8 @@ def _error_model(problem: LinearProblem, solution: Solution, posterior: Posterio
     sigma = float(np.median(posterior.sigma_nT))
     white, brief_s = _of_rows(problem, solution, posterior)
     attitude = np.hypot(posterior.theta_rad, white)
-    lasts, tau_s = (
-        float(np.mean(posterior.theta_rad**2 / np.maximum(attitude**2, 1e-300))),
-        float(np.median(posterior.tau_s)),
-    )
+    lasts = float(np.mean(posterior.theta_rad**2 / np.maximum(attitude**2, 1e-300)))
+    tau_s = float(np.median(posterior.tau_s))
     if brief_s > 0.0:  # of one error the cells may see the longer part and the shorter one
         tau_s = lasts * tau_s + (1.0 - lasts) * brief_s
     declared = options.attitude_sigma_deg is not None

@@ -117,8 +117,10 @@ def calibrate_scalar(records: Telemetry | Sequence[Telemetry], model: FieldModel
     def by(columns: drivers.Columns) -> ScalarFit:
         return fit_rows(replace(rows, columns={**own, **columns}), options, model_name=model.name, passes=labels)
 
-    def drops(fit: ScalarFit, of_fit: drivers.Columns, now: drivers.Columns, *tried: Any) -> FloatArray:
-        return _drops(fit, replace(rows, columns={**own, **of_fit}), {**own, **now}, *tried)
+    def drops(
+        fit: ScalarFit, of_fit: drivers.Columns, now: drivers.Columns, name: str, tried: FloatArray
+    ) -> FloatArray:
+        return _drops(fit, replace(rows, columns={**own, **of_fit}), {**own, **now}, name, tried)
 
     field = rows.B_nT if options.parameters != "b" else np.zeros((len(rows), 0))
     fit = drivers.fitted(asked, rows.rows, np.column_stack([field, *own.values()]), by, drops)

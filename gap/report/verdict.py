@@ -151,16 +151,6 @@ class _Conclusion:
     posterior: Sequence[tuple[str, float]]
     """Of each name, before it is stated."""
 
-    @property
-    def only_outliers(self) -> bool:
-        """Whether rows that were excluded are all that is not as expected."""
-        return self.beyond is not None and self.beyond is self.outliers
-
-
-def only_outliers(work: Work) -> bool:
-    """Whether the verdict is of rows that were excluded, and of nothing that is left in the others."""
-    return _conclude(work).only_outliers
-
 
 def assemble(
     work: Work,
@@ -260,7 +250,8 @@ def _sentence(work: Work, found: _Conclusion, where: Place, gap: Shrinkage, rese
         return words.no_gap(fit, work.attitude_would_do_rad) + _differ(work)
     if found.verdict == "unknown":
         what = _what(work, where) if found.beyond is None else found.beyond.words
-        apart = f" {words.APART_FROM_THEM}" if found.only_outliers else ""
+        only_outliers = found.beyond is not None and found.beyond is found.outliers
+        apart = f" {words.APART_FROM_THEM}" if only_outliers else ""
         return f"{words.unexplained(what, where, resembles)}{apart}"
     remains = words.SHAPE_INCOMPLETE if found.excess is None else found.excess.words
     outlying = None if found.outliers is None else found.outliers.words

@@ -57,9 +57,9 @@ def record(table: FileTable, *, tle: Path | str | None = None, attitude: Path | 
     if tle is not None and "r_N_km" in fields:
         notices.append(f"the file has positions, so the elements in {Path(tle).name} were not used")
     elif tle is not None:
-        fields["r_N_km"], fields["v_N_km_s"], said, stated = companions.positions(tle, time)
+        fields["r_N_km"], fields["v_N_km_s"], said, stated, elements = companions.positions(tle, time)
         notices.extend(said)
-        origin = replace(origin, elements=companions.elements_of(tle))
+        origin = replace(origin, elements=elements)
         provenance |= stated | ({companions.ATTITUDE_OF_ORBIT: "orbital"} if ANGLES.name in fields and stated else {})
     if ANGLES.name in fields:
         fields["q_NB"] = _from_angles(fields, time, notices, table.where)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline, CubicSpline
@@ -27,6 +27,9 @@ from fluxtwin.sim.telemetry.columns import FileTable
 from fluxtwin.sim.telemetry.formats.table import Table
 from fluxtwin.sim.telemetry.origin import Origin
 from fluxtwin.sim.telemetry.quantities import BY_MAP_NAME, DRIVERS, MAG2, POSITION, VELOCITY, family_of
+
+if TYPE_CHECKING:
+    from fluxtwin.sim.earth.tle import TleSeries
 
 _ROUNDED_S = 1e-6  # by which seconds as floating-point numbers, and stamps from another time scale, may be off
 _LARGEST_TURN_RAD = np.pi / 2.0
@@ -61,7 +64,7 @@ def merged_table(
             rows = _known(source.values["position"], source.values["velocity"])
             moved = source.values["velocity"] if source is master else _along_orbit(source, rows, time, 1)
             _put(columns, "velocity", moved)
-    r, v, stated = _orbit(columns, time, tle, notices)
+    r, v, stated, elements = _orbit(columns, time, tle, notices)
     if attitude is not None and attitude[0].reference in references.OF_POSITION and stated:
         stated |= {companions.ATTITUDE_OF_ORBIT: str(attitude[0].reference)}
     if attitude is not None:
@@ -78,17 +81,18 @@ def merged_table(
     where = path.where if isinstance(path, Table) else str(path)
     provenance = {"source": Path(where).name, "sha256": digests, **stated}
     specs = {name: source.entry.columns[name] for source in sources for name in source.values}
-    return FileTable(where, time, columns, notices, provenance, units, origin=_origin(specs, tle))
+    return FileTable(where, time, columns, notices, provenance, units, origin=_origin(specs, elements))
 
 
-def _origin(specs: Mapping[str, ColumnSpec], tle: Path | str | None) -> Origin:
-    """What the map made of what is stored, from what it says of each quantity that there is."""
+def _origin(specs: Mapping[str, ColumnSpec], elements: TleSeries | None) -> Origin:
+    """What the map made of what is stored, from what it says of each quantity that there is.
+
+    elements: those that gave the positions.
+    """
     mag, position, attitude = specs.get("mag"), specs.get("position"), specs.get("attitude")
-    stored: dict[str, Any] = {}
+    stored: dict[str, Any] = {"elements": elements}
     if position is not None:
         stored["position"] = "ITRS" if position.axes == "ITRS" else "GCRS"
-    elif tle is not None:
-        stored["elements"] = companions.elements_of(tle)
     if attitude is not None:
         local = "orbital" if attitude.reference in ("orbital", "sun_nadir", "nadir_sun") else "GCRS"
         stored["attitude"] = attitude.reference if attitude.reference in ("ITRS", "NEC", "NED") else local
@@ -236,10 +240,11 @@ def _slerped(source: Source, time: TimeArray, notices: list[str]) -> tuple[Rotat
 
 def _orbit(
     columns: dict[str, FloatArray], time: TimeArray, tle: Path | str | None, notices: list[str]
-) -> tuple[FloatArray | None, FloatArray | None, dict[str, str]]:
+) -> tuple[FloatArray | None, FloatArray | None, dict[str, str], TleSeries | None]:
     stated: dict[str, str] = {}
+    elements: TleSeries | None = None
     if "r_x_km" not in columns and tle is not None:
-        r, v, said, stated = companions.positions(tle, time)
+        r, v, said, stated, elements = companions.positions(tle, time)
         _put(columns, "position", r)
         _put(columns, "velocity", v)
         notices.extend(said)
@@ -249,7 +254,7 @@ def _orbit(
         np.stack([columns[c] for c in quantity.plain], axis=1) if quantity.plain[0] in columns else None
         for quantity in (POSITION, VELOCITY)
     )
-    return position, velocity, stated
+    return position, velocity, stated, elements
 
 
 def _absolute(

@@ -7,7 +7,7 @@ attitude by slerp, nothing across more than `ORBIT_GAP_S` and `ATTITUDE_GAP_S`.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -26,28 +26,34 @@ ATTITUDE_OF_ORBIT = "attitude_relative_to"
 """Likewise, beside it: the axes of the orbit or of the place that the attitude was recorded relative to."""
 
 
-def positions(path: Path | str, time: TimeArray) -> tuple[FloatArray, FloatArray, list[str], dict[str, str]]:
-    """Position [km] and velocity [km/s], GCRS, each (N, 3), at the stamps, what is to be said of them, and provenance.
+class Positions(NamedTuple):
+    """GCRS, each (N, 3)."""
+
+    r_N_km: FloatArray
+    v_N_km_s: FloatArray
+    said: list[str]
+    """What is to be said of them."""
+    stated: dict[str, str]
+    """For the provenance."""
+    elements: TleSeries | None
+    """What they were computed from; None for an OEM."""
+
+
+def positions(path: Path | str, time: TimeArray) -> Positions:
+    """Positions and velocities at the stamps.
 
     path: two-line elements, one set or many, or a CCSDS OEM. Rows out of an OEM's reach are NaN. Raises BadInput.
     """
     file = Path(path)
     if ccsds.is_message(file, "OEM"):
-        return *_from_oem(file, time), {}
+        return Positions(*_from_oem(file, time), {}, None)
     from fluxtwin.sim.earth.tle import along_track_sigma_km, read_elements
 
     elements = read_elements(path)
     said = f"positions and velocities were computed from the elements in {file.name}"
     sizes_km = np.array([along_track_sigma_km(days) for days in np.unique(elements.age_days(time).round(2))])
     stated = {ALONG_TRACK_KM: f"{np.sqrt(np.mean(sizes_km**2)):.3g}"}
-    return *elements.propagate(time), [said, *elements.notices(time)], stated
-
-
-def elements_of(path: Path | str) -> TleSeries | None:
-    """The two-line elements in the file; None for an OEM."""
-    from fluxtwin.sim.earth.tle import read_elements
-
-    return None if ccsds.is_message(Path(path), "OEM") else read_elements(path)
+    return Positions(*elements.propagate(time), [said, *elements.notices(time)], stated, elements)
 
 
 def attitude(

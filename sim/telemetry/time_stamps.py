@@ -204,14 +204,13 @@ def stamps_of_counts(raw: FloatArray, recipe: TimeRecipe) -> TimeArray:
 def beyond(first: FloatArray, recipe: TimeRecipe) -> str:
     """Words on the counts (k,) of a row that the recipe puts far beyond any mission, with a recipe that fits."""
     counts = " and ".join(f"{name} is {value:.15g}" for name, value in zip(recipe.names, first, strict=True))
+    said = f"{counts}: far beyond any mission as {recipe.recipe}"
     for name, how in COUNTED.items():
         if len(how.units_s) == first.size and how.origin is not None and name.startswith("unix"):
             stamp = _added(how.origin, first[None], how.units_s)[0]
             if not np.isnat(stamp) and _SPACE_AGE <= stamp < _LATEST:
-                return (
-                    f"{counts}: far beyond any mission as {recipe.recipe}; as {name} it is {format_iso(stamp[None])[0]}"
-                )
-    return f"{counts}: far beyond any mission as {recipe.recipe}"
+                return f"{said}; as {name} it is {format_iso(stamp[None])[0]}"
+    return said
 
 
 def _added(origin: np.datetime64, parts: FloatArray, units_s: tuple[float, ...]) -> TimeArray:

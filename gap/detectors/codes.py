@@ -160,25 +160,30 @@ def noise_level(
     fitted_nT: the level that the whitening used, one number or (3,); declared_nT: noise and rounding of the budget
     together (with the true step where that is coarser). shape_nT: what named causes may leave because nature's form is not
     theirs; None where something unknown is left. Confirmed beyond both where nothing unknown is left and the values are
-    Gaussian. measured (N, 3): components that there are, where rows have no attitude; no single axis is named then.
+    Gaussian. measured (N, 3): components that there are, where rows have no attitude; if these are few, the others tell,
+    else no single axis is named.
     """
-    series = left.residual.reshape(-1, 3)
-    there = np.ones(series.shape, dtype=np.bool_) if measured is None else measured
-    share = there.mean(axis=0) / there.mean()
-    axis_energy = np.sum(series**2, axis=0) / left.degrees * 3.0 / np.where(share > 0, share, 1.0)
+    there = np.ones((left.residual.size // 3, 3), dtype=np.bool_) if measured is None else measured
+    whole = there.all(axis=1)
+    rows = whole if 2 * whole.sum() > whole.size else there.any(axis=1)
+    series, share = left.residual.reshape(-1, 3)[rows], there[rows].mean(axis=0) / there[rows].mean()
+    degrees_of_rows = left.degrees * there[rows].sum() / there.sum()
+    axis_energy = np.sum(series**2, axis=0) / degrees_of_rows * 3.0 / np.where(share > 0, share, 1.0)
     level = np.maximum(np.asarray(fitted_nT) * np.sqrt(axis_energy), 1e-12)
     expected_nT = float(np.hypot(declared_nT, shape_nT or 0.0))
     noisy = np.log(level / expected_nT) > 2 * NOISE_LOG_SD
-    alone = measured is None and int(noisy.sum()) == 1
+    alone = bool(whole[rows].all()) and int(noisy.sum()) == 1
     level_nT = float(level[noisy][0]) if alone else float(np.sqrt(np.sum(share * level**2) / 3.0))
-    degrees = left.degrees / 3 if alone else left.degrees
+    degrees = degrees_of_rows / 3 if alone else degrees_of_rows
     beyond = float(np.log(level_nT / expected_nT) / np.hypot(NOISE_LOG_SD, np.sqrt(0.5 / degrees)))
     value = worth(max(beyond, 0.0) ** 2, 1, left.degrees / 3.0, float(np.log(3.0)) if alone else 0.0)
     if value <= THRESHOLD:
         return None
     rms = float(np.sqrt(level_nT**2 - declared_nT**2))
     sigma = float(np.hypot(NOISE_LOG_SD * declared_nT**2, level_nT**2 * np.sqrt(0.5 / degrees)) / rms)
-    values = (series / np.sqrt(np.where(share > 0, axis_energy, 1.0)))[there & np.any(series != 0, axis=1)[:, None]]
+    values = (series / np.sqrt(np.where(share > 0, axis_energy, 1.0)))[
+        there[rows] & np.any(series != 0, axis=1)[:, None]
+    ]
     faults = ["structure remains"] if shape_nT is None else []
     if not gaussian(values):
         faults.append("it is not Gaussian")

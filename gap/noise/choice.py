@@ -308,7 +308,7 @@ def best_noise(likelihood: Likelihood, start: NoiseModel | None = None) -> Choic
         ratio = prior.theta_rad * likelihood.field_nT / prior.sigma_nT
     if start is not None and start.theta_rad > 0:
         ratio, tau_s = likelihood.point(start)
-    elif tau_s is None:
+    if not tau_s and prior.tau_s is None:  # an error that was white beside other noise may have a memory all the same
         tries = [likelihood.at(ratio, by * USUAL_TAU_S) for by in (0.25, 1.0, 4.0)]
         tau_s = max(tries, key=lambda one: one.log_posterior).noise.tau_s
     best, hessian = _climbed(likelihood, ratio, tau_s)
@@ -475,7 +475,7 @@ def likely_noises(
     """
     noise, prior = whitener.noise, prior_of(complete_budget(problem))
     where = (problem.noise_image_nT, problem.setting.seconds, problem.segment)
-    weights = whitener.weights * np.square(noise.axis_factor)
+    weights = whitener.weights * noise.axis_variance(whitener.axes)
     design = _affordable([problem.in_row_axes(columns)], int((weights > 0).sum()))
     data = Data(problem.in_row_axes(residual_nT), design, *where, weights, problem.axes)
     return noises_about(Likelihood(data, prior, noise.axis_factor, walk), noise)

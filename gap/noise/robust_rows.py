@@ -100,7 +100,7 @@ def spike_weights(left_nT: FloatArray, whitener: Whitener, there: BoolArray) -> 
     there (N, 3): components that are measured. Those that are cut now are weighed like all others and may come back.
     """
     noise = whitener.noise
-    own = full_weights(None, left_nT.shape[0]) / np.square(noise.axis_factor)
+    own = full_weights(None, left_nT.shape[0]) / noise.axis_variance(whitener.axes)
     scaled = np.ascontiguousarray(left_nT / noise.sigma_nT)
     standard, plain = np.empty_like(scaled), np.empty_like(scaled)
     filtered = (whitener.load, whitener.decay, whitener.gains, whitener.covariance, whitener.weights)

@@ -61,6 +61,11 @@ class NoiseModel:
         """(3,) white noise per body axis, 1 sigma."""
         return self.sigma_nT * np.asarray(self.axis_factor)
 
+    def axis_variance(self, axes: RowAxes | None) -> FloatArray:
+        """(3,), or (N, 3) where rows have axes of their own: white variance of each component over sigma_nT**2."""
+        squares = np.square(self.axis_factor)
+        return np.asarray(squares if axes is None else np.square(axes.turn) @ squares)
+
     @property
     def white_rms_nT(self) -> float:
         """White noise, rms over the axes."""
@@ -136,7 +141,7 @@ def make_whitener(
     whether that of the state is kept.
     """
     rows = image_nT.shape[0]
-    full = full_weights(weights, rows) / np.square(noise.axis_factor)
+    full = full_weights(weights, rows) / noise.axis_variance(axes)
     if axes is not None:
         full = np.where(axes.measured, full, 0.0)
     load = np.asarray(image_nT, dtype=np.float64) * (noise.theta_rad / noise.sigma_nT)

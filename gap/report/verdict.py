@@ -310,13 +310,14 @@ def _what(work: Work, where: Place) -> str:
     """What an answer without a name says of the data."""
     answer, momentum = work.answer, work.momentum
     left = answer.left
-    if not left.structured and not answer.result.resembles:
+    if not left.structured:
         names = len(answer.result.named)
         several = words.several(names) if names > 1 and work.known >= 0.5 else None
         louder = None
         if names and work.by_noise < min(work.prediction.log_ratio, 0.0):
             louder = words.louder(work.noise, work.prior)
-        return momentum.left.words or several or louder or words.left_over(work.prediction.shrinkage(True))
+        any_of = words.any_of(len(answer.result.resembles)) if answer.result.resembles else None
+        return momentum.left.words or several or louder or any_of or words.left_over(work.prediction.shrinkage(True))
     return "; ".join(filter(None, (words.structure(left, where), momentum.left.words)))
 
 

@@ -132,6 +132,12 @@ def several(names: int) -> str:
     return f"it takes {names} causes of the catalogue together to explain it, and some other cause is more likely than these"
 
 
+def any_of(causes: int) -> str:
+    """Where any of so many causes leaves nothing, and none is sure."""
+    some = "one cause" if causes == 1 else f"any of {causes} causes"
+    return f"{some} of the catalogue would explain it, but some other cause is more likely"
+
+
 def left_over(gap: Shrinkage) -> str:
     """Where the best fit explains too little of what it has not seen."""
     return (

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -19,13 +19,14 @@ from fluxtwin.gap.detectors.random_walk import modes_of_a_walk, random_walk
 from fluxtwin.gap.detectors.residual_structure import drift, judge
 from fluxtwin.gap.detectors.switched import _Place, _place, _scatter, _snug, heater_sequence
 from fluxtwin.gap.hypotheses.blocks import Block, blocks, fit
-from fluxtwin.gap.linear.projection import projected
+from fluxtwin.gap.linear.projection import ProjectedResidual, projected
 from fluxtwin.gap.noise.whitening import NoiseModel, Whitener, likeliest_rate, make_whitener, with_walk
 from fluxtwin.gap.posterior import structured
 from fluxtwin.gap.posterior.structured import Structured
 from fluxtwin.gap.problem.problem import Problem, pose
 from fluxtwin.gap.problem.row_axes import turn_images
 from fluxtwin.sim.earth.field_models import load_field
+from fluxtwin.sim.effects.digits import ExcessNoise
 from fluxtwin.sim.effects.spacecraft_field import WheelField
 from fluxtwin.sim.run.simulate import simulate
 from fluxtwin.sim.scenario.scenario import parse_scenario
@@ -430,3 +431,20 @@ def test_the_stretch_at_the_full_rate_is_the_middle_of_the_record(
         whole = bench.problem.telemetry.select(slice(0, rows))
         near = lines._stretch(whole, bench.problem, [(bench.problem.modelled[0], np.zeros(3))], [])
         assert np.array_equal(near.time, whole.time[1:61])
+
+
+@pytest.mark.parametrize("without", [0.0, 0.1])
+def test_the_axis_that_is_too_noisy_is_named_by_the_rows_with_attitude(bench: Bench, without: float) -> None:
+    """Rows without attitude measure the size of the field alone, in which no axis can be told from the others."""
+    rows, rng = bench.problem.rows, np.random.default_rng(61)
+    measured = np.ones((rows, 3), dtype=bool)
+    measured[rng.random(rows) < without, 1:] = False
+    noise = SIGMA_NT * rng.standard_normal((rows, 3)) * [1.0, 1.0, 3.0]
+    whitener = replace(bench.whitener, weights=measured.astype(float))
+    white = np.where(measured, noise / SIGMA_NT, 0.0)
+    left = ProjectedResidual(whitener, white.ravel(), np.zeros((3 * rows, 0)), int(measured.sum()))
+    found = noise_level(left, SIGMA_NT, SIGMA_NT, 0.0, measured if without else None)
+    assert found is not None
+    assert isinstance(found.effect, ExcessNoise)
+    assert found.effect.axis == "z"
+    assert found.theta[0] == pytest.approx(SIGMA_NT * np.sqrt(8.0), abs=4.0 * found.sigma[0])

@@ -602,3 +602,14 @@ def test_axes_of_few_rows_are_uneven_beyond_chance_alone(third: float, uneven: b
     whitener: Any = SimpleNamespace(apply_in_row_axes=lambda left: left, weights=np.ones((31, 3)))
     found = choice._axis_factor(whitener, white * [1.0, 1.0, third], (1.0, 1.0, 1.0), np.ones(31, dtype=bool))
     assert found == (pytest.approx(np.array([1.0, 1.0, third]) / third ** (1.0 / 3.0)) if uneven else (1.0, 1.0, 1.0))
+
+
+def test_a_search_that_starts_without_memory_finds_the_memory(close: Close) -> None:
+    """It starts so where the round before it held outliers for noise, or all axes to be alike."""
+    w = world(1700, 5.0, 60.0, 7e-4, 800.0, 41)
+    data = choice.Data(w.residual, w.design, turn_images(w.field), w.seconds, w.segment, np.ones((1700, 3)))
+    likelihood = choice.Likelihood(data, NoisePrior(60.0, 0.1, 7e-4))
+    best = choice.best_noise(likelihood)
+    again = choice.best_noise(likelihood, NoiseModel(60.0, 7e-4, 0.0))
+    assert best.noise.tau_s > 0.0
+    close(again.log_posterior, best.log_posterior, atol=2 * choice.CLOSE, unit="", because="no step is taken for less")

@@ -114,18 +114,20 @@ def test_an_axis_that_reads_nothing_does_not_stop_the_fit():
     assert np.abs(problem.setting.instrument.b_nT).max() < 1e5
 
 
-def test_what_is_not_measured_is_zero_and_never_whitened(pair):
+@pytest.mark.parametrize("factor", [(1.0, 1.0, 1.0), (0.8, 1.0, 3.0)])
+def test_what_is_not_measured_is_zero_and_never_whitened(pair, factor):
+    """And the size of the field has the noise of the axes that it lies along."""
     _, unknown = pair
     axes = unknown.axes
     assert axes is not None
-    whitener = make_whitener(
-        unknown.noise_image_nT, unknown.setting.seconds, unknown.segment, NoiseModel(10.0, 0.1, 100.0), None, axes
-    )
+    noise = NoiseModel(10.0, 0.1, 100.0, axis_factor=factor)
+    whitener = make_whitener(unknown.noise_image_nT, unknown.setting.seconds, unknown.segment, noise, None, axes)
     random = np.random.default_rng(SEED_ROWS).standard_normal((unknown.rows, 3, 2))
     white = whitener.apply(random)
     assert whitener.measured == unknown.rows
     assert np.all(white[:, 1:] == 0.0)
-    np.testing.assert_allclose(white[:, 0], np.einsum("ni,nip->np", along(unknown), random) / 10.0, atol=1e-12)
+    sigma_nT = 10.0 * np.linalg.norm(along(unknown) * factor, axis=1)[:, None]
+    np.testing.assert_allclose(white[:, 0], np.einsum("ni,nip->np", along(unknown), random) / sigma_nT, atol=1e-12)
 
 
 def test_a_large_bias_and_matrix_are_found_from_the_size_of_the_field_alone(close):

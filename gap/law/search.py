@@ -17,7 +17,7 @@ from typing import get_args
 import numpy as np
 
 from fluxtwin.gap.detectors.residual_structure import PARTS
-from fluxtwin.gap.hypotheses.blocks import LEAST_SHARE, Block, BlockFit, Carrier, Condition, Dictionary, fit
+from fluxtwin.gap.hypotheses.blocks import LEAST_SHARE, Block, BlockFit, Carrier, Condition, Dictionary
 from fluxtwin.gap.hypotheses.candidates import PerturbedDesign, alike
 from fluxtwin.gap.linear.projection import ProjectedResidual, projected
 from fluxtwin.gap.noise.choice import Whitener
@@ -269,16 +269,19 @@ class Regression:
 
     def trial(self, terms: Terms, left: ProjectedResidual) -> Trial | None:
         """Terms; None where one is missing, or all are dead."""
-        if any(self.grammar.values(law) is None for law in terms):
-            return None
+        return next(iter(self._trials([terms], left)), None)
+
+    def _trials(self, every: Sequence[Terms], left: ProjectedResidual) -> list[Trial]:
+        """All of these terms but those of which one is missing, or all are dead."""
         if self._latest[0] is not left:
             self._latest = (left, {})
-        known = self._latest[1]
-        if terms not in known:  # one beam comes to the same terms from several starts
-            self._count([terms])
-            found = fit(self.block(terms), left)
-            known[terms] = Trial(terms, found, *found.explained())
-        return known[terms] if known[terms].rank else None
+        known = self._latest[1]  # one beam comes to the same terms from several starts
+        found = [terms for terms in every if all(self.grammar.values(law) is not None for law in terms)]
+        new = [terms for terms in found if terms not in known]
+        self._count(new)
+        fits = Dictionary([self.block(terms) for terms in new], self.problem.rows).fits(left)
+        known.update({terms: Trial(terms, one, *one.explained()) for terms, one in zip(new, fits, strict=True)})
+        return [known[terms] for terms in found if known[terms].rank]
 
     def best(self, left: ProjectedResidual, beside: Sequence[Law] = ()) -> list[Trial]:
         """The best few of the pool with their settings moved, best first."""
@@ -317,8 +320,7 @@ class Regression:
     def _better(self, best: Trial, laws: Sequence[Law], left: ProjectedResidual) -> Trial:
         """The best of a trial and these terms, each alone and with those of lower order."""
         every = dict.fromkeys(terms for law in laws for terms in ((law,), self.grammar.with_lower(law)) if terms)
-        trials = [found for terms in every if (found := self.trial(terms, left)) is not None]
-        return max([best, *trials], key=lambda one: self.order(one, left))
+        return max([best, *self._trials(list(every), left)], key=lambda one: self.order(one, left))
 
     def worth(self, one: Trial, left: ProjectedResidual, wider: float = 1.0) -> float:
         """By the criterion, where noise and shape error have so many times the variance of the noise."""

@@ -44,8 +44,9 @@ _LEAST_LEFT = 1e-8
 _LEAST_KNOWN = 0.5
 """Share of the rows with a reading in which one of all columns must be known: the others would be left out."""
 _SAME = 0.9
-_PASSES = 2
+_PASSES = 5
 _FAR = 5.0
+_NO_NOISE_NT = 1e-12
 _MOVES = ((1.12, 0.12), (1.12, 0.12), (1.06, 0.06), (1.03, 0.03))
 _WIDE = (1.25, 0.25)
 """Of delay and lag, round by round: by what factor their sum is moved, and by how much the delay's share of it."""
@@ -130,6 +131,8 @@ def fitted(asked: Asked, rows: np.ndarray, others: FloatArray, fit: Callable[[Co
         apart, together = distinguishable({name: columns[name] for name in apart}, others)
         same |= together
         whole = fit({name: columns[name] for name in apart})
+        if _settled(before, found):
+            break
     kept, worths = chosen(whole, len(apart) * len(lateness_tried(asked.time_s)))
     final = whole if len(kept) == len(apart) or not asked.every else fit({name: columns[name] for name in kept})
     used = {name: columns[name] for name in final.calibration.telemetry_bias}
@@ -208,6 +211,14 @@ def _lateness(asked: Asked, rows: np.ndarray, whole: F, columns: Columns, drops:
     return found
 
 
+def _settled(before: Mapping[str, _Late], found: Mapping[str, _Late]) -> bool:
+    """Whether the same columns are late, as late as before to the last of the moves."""
+    moved = [
+        np.abs(np.subtract(one[:2], before.get(name, _NOT)[:2])).max() / sum(one[:2]) for name, one in found.items()
+    ]
+    return before.keys() == found.keys() and max(moved, default=0.0) <= _MOVES[-1][1]
+
+
 def _likeliest(values: FloatArray) -> int:
     """The first of those that are best: a switch looks alike at every delay between two rows, but for rounding."""
     return int(np.argmax(values >= values.max() - _BETTER))
@@ -260,17 +271,7 @@ def _with_lateness(fit: F, found: Mapping[str, _Late], again: Callable[[str, tup
     return replace(fit, calibration=calibration, driver_covariance=of_drivers)
 
 
-def drawn_in(residual: FloatArray, kept: np.ndarray) -> FloatArray:
-    """(N, k) what the residual is beyond five times its usual size, by the rows that are kept; zero elsewhere."""
-    limit = _far(residual, kept)
-    return np.asarray(residual - np.clip(residual, -limit, limit))
-
-
-def _far(residual: FloatArray, kept: np.ndarray) -> FloatArray:
-    return np.asarray(_FAR * 1.4826 * np.median(np.abs(residual[kept]), axis=0))
-
-
-def to_explain(
+def drawn_in(
     error: FloatArray,
     kept: np.ndarray,
     fields: Mapping[str, FloatArray],
@@ -278,34 +279,38 @@ def to_explain(
     now: Columns,
     name: str,
     tried: FloatArray,
-) -> FloatArray:
-    """(N, k, 1 + c) what is left of the reading for a column `name`, as it is now and with each of `tried` (N, c) in its
-    place; (N, k, 1) where that is the same for all.
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """What is left of the reading for a column `name`, (N, k, 1); what of this is beyond five times the usual error, with
+    the column as it is now and with each of `tried` (N, c) in its place, (N, k, 1 + c); and that in chi-square, (1 + c,).
+    The latter two for one, (N, k, 1) and (1,), where all are alike.
 
     error: (N, k) of the reading beside a fit, with fields (k,) or (N, k) of a unit of its columns `of_fit`; kept: (N,) its
-    rows that are no outliers. What lies far off is drawn in, lest an outlier rule; but whether it is far off is asked
-    beside what is tried. Beside the fit, rows that a strong field reaches late are far off, and drawn in they would
-    speak for the fit.
+    rows that are no outliers. What is beyond is taken off the reading, lest an outlier rule, and counts in proportion
+    (Huber 1964). It is asked for beside what is tried: beside the fit, the rows that a strong field reaches late are the
+    ones that are far off, and taken off they would speak for the fit.
     """
-    limit = _far(error, kept)[:, None]
+    limit = np.maximum(_FAR * 1.4826 * np.median(np.abs(error[kept]), axis=0), _NO_NOISE_NT)[:, None]
     error = error + sum(field * (of_fit[one] - now[one])[:, None] for one, field in fields.items())
     own, field = now[name][:, None], fields[name][..., None]
-    whole = error[..., None] + field * own[:, None]
-    beside = whole - field * np.hstack([own, tried])[:, None]
+    left = error[..., None] + field * own[:, None]
+    beside = left - field * np.hstack([own, tried])[:, None]
     far = beside - np.clip(beside, -limit, limit)
-    return np.asarray(whole - (far[..., :1] if (far == far[..., :1]).all() else far))
+    if (far == far[..., :1]).all():
+        far = far[..., :1]
+    return left, far, 2.0 * _FAR**2 * (np.abs(far) / limit).sum(axis=(0, 1))
 
 
-def drops_of(gram: FloatArray, fixed: int, targets: int) -> FloatArray:
+def drops_of(gram: FloatArray, fixed: int, beyond: FloatArray) -> FloatArray:
     """By how much blocks of three columns lower chi-square beside others.
 
     gram: whitened products of the `fixed` others, of the blocks, and, last, of what is fitted: one target, or one beside
-    none of the blocks and one for each.
+    none of the blocks and one for each. beyond: (t,) of chi-square, for what was taken off each target; see `drawn_in`.
     """
+    targets = len(beyond)
     scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
     G = gram / np.outer(scale, scale)
     left = G[fixed:, fixed:] - G[fixed:, :fixed] @ np.linalg.pinv(G[:fixed, :fixed], hermitian=True) @ G[:fixed, fixed:]
-    squares, found = np.diag(left)[-targets:] * scale[-targets:] ** 2, []
+    squares, found = np.diag(left)[-targets:] * scale[-targets:] ** 2 + beyond, []
     for k, at in enumerate(range(0, len(left) - targets, 3)):
         own, of = slice(at, at + 3), 0 if targets == 1 else 1 + k
         y = left[own, of - targets]

@@ -72,10 +72,14 @@ def calibrate_gyro(records: Telemetry | Sequence[Telemetry], model: FieldModel, 
     def by(columns: drivers.Columns) -> GyroFit:
         return _fit(telemetry, used, rows, columns, options, left_out)
 
-    def late(fit: GyroFit, _: drivers.Columns, columns: drivers.Columns, name: str, tried: FloatArray) -> FloatArray:
-        others = {one: values for one, values in columns.items() if one != name}
-        seen = fit.seen._replace(columns=_stacked(columns, len(used)))
-        return drops(seen, fit.solved, fit.kept, _stacked(others, len(used)), tried)
+    def late(fit: GyroFit, of_fit: drivers.Columns, now: drivers.Columns, name: str, tried: FloatArray) -> FloatArray:
+        others = _stacked({one: values for one, values in now.items() if one != name}, len(used))
+        rows = fit.seen.in_stretches
+        here, there = ({one: values[rows] for one, values in columns.items()} for columns in (of_fit, now))
+        error = -fit.residuals_nT @ np.linalg.inv(np.eye(3) + fit.solved.S).T
+        fields = {one: bias.value_nT for one, bias in fit.calibration.telemetry_bias.items()}
+        _, far_nT, beyond = drivers.drawn_in(error, fit.kept, fields, here, there, name, tried[rows])
+        return drops(fit.seen, fit.solved, others, tried, far_nT, beyond)
 
     others = used.mag_B_nT if options.parameters != "b" else np.zeros((len(used), 0))
     return drivers.fitted(asked, rows, others, by, late)

@@ -31,7 +31,7 @@ from scipy.optimize import minimize_scalar
 
 from fluxtwin.calib.common.conventions import of_S
 from fluxtwin.calib.common.design import of_turns
-from fluxtwin.calib.common.drivers import drawn_in, drops_of
+from fluxtwin.calib.common.drivers import drops_of
 from fluxtwin.calib.common.shrinkage import SURE, widening
 from fluxtwin.calib.gyro.motion import Stretch, degree_for, follow
 from fluxtwin.sim.base.errors import NoAnswer
@@ -124,7 +124,7 @@ class Cleared(NamedTuple):
     G: FloatArray
     """(3 n, p) derivatives by S, the fields of columns, c and the gyro's bias."""
     y: FloatArray
-    """(3 n,) readings."""
+    """(3 n,) readings, or (3 n, t)."""
     weight: FloatArray
     """(n, 3, 3) information of each row about an error of its own reading."""
     log_determinant: float
@@ -250,10 +250,18 @@ def _ratio(
 
 
 def _cleared(
-    one: Stretch, m: FloatArray, true: FloatArray, d: FloatArray, weights: FloatArray, ratio: float, *, with_S: bool
+    one: Stretch,
+    m: FloatArray,
+    true: FloatArray,
+    d: FloatArray,
+    weights: FloatArray,
+    ratio: float,
+    *,
+    with_S: bool,
+    fitted: FloatArray | None = None,
 ) -> Cleared:
-    """The stretch's rows for S, fields of columns d (N, J), c and a change of the gyro's bias, and the reading, cleared of
-    its own field."""
+    """The stretch's rows for S, fields of columns d (N, J), c and a change of the gyro's bias, and the reading, or what is
+    `fitted` (N, 3, t) in its place, cleared of its own field."""
     n, here, B = len(one.rows), m[one.rows], true[one.rows]
     columns = []
     if with_S:
@@ -264,8 +272,8 @@ def _cleared(
     columns.append(-(cross @ one.turned).reshape(n * 3, 3))
     field = np.einsum("nij,np->nipj", one.R, one.basis).reshape(n * 3, -1)
     of_noise = _of_gyro_noise(one, cross)
-    reading = here.reshape(-1) - of_noise @ one.errors_rad_s.reshape(-1)
-    whole = np.hstack([field, *columns, reading[:, None]])
+    reading = here.reshape(3 * n, 1) if fitted is None else fitted[one.rows].reshape(3 * n, -1)
+    whole = np.hstack([field, *columns, reading - of_noise @ one.errors_rad_s.reshape(3 * n, 1)])
     V = np.diag(np.repeat(1.0 / np.maximum(weights[one.rows], _LEAST_WEIGHT), 3)) + ratio * (of_noise @ of_noise.T)
     half = np.linalg.cholesky(V)
     white = solve_triangular(half, whole, lower=True)
@@ -276,7 +284,9 @@ def _cleared(
     back = (down - Q @ (Q.T @ down)).T
     weight = np.einsum("kia,kja->kij", *[back.reshape(n, 3, 3 * n)] * 2)
     log = 2.0 * float(np.log(np.diag(half)).sum() + np.log(np.abs(np.diag(triangle))).sum())
-    return Cleared(rest[:, :-1], rest[:, -1], weight, log, back, -ratio * of_noise.T)
+    at = rest.shape[1] - reading.shape[1]
+    y = rest[:, at] if fitted is None else rest[:, at:]
+    return Cleared(rest[:, :at], y, weight, log, back, -ratio * of_noise.T)
 
 
 def _of_gyro_noise(one: Stretch, cross: FloatArray) -> FloatArray:
@@ -295,24 +305,26 @@ def fields_without_errors(rows: GyroRows, weights: FloatArray) -> FloatArray:
     return np.vstack([m[one.rows] + _residual(one, m, none, none[0], weights) for one in stretches])
 
 
-def drops(rows: GyroRows, solved: Solved, kept: np.ndarray, fixed: FloatArray, tried: FloatArray) -> FloatArray:
+def drops(
+    rows: GyroRows, solved: Solved, fixed: FloatArray, tried: FloatArray, far_nT: FloatArray, beyond: FloatArray
+) -> FloatArray:
     """(c,) by how much each of `tried` (N, c) lowers chi-square beside all else and `fixed` (N, k); see `drivers.Drops`.
 
-    solved: the answer of `solve`; kept: (n,) its rows that are no outliers.
+    solved: the answer of `solve`; far_nT: (n, 3, t) and beyond: (t,) of `drivers.drawn_in` in the rows of its stretches.
     """
     scale, with_S = rows.scale_nT, bool(solved.S.any())
     M, d = np.eye(3) + solved.S, np.hstack([fixed, tried])
     true = ((rows.reading_nT - rows.columns @ solved.fields_nT) @ M.T + solved.b_nT) / scale
-    m = rows.reading_nT / scale
-    m[rows.in_stretches] += drawn_in(solved.residual_nT, kept) @ np.linalg.inv(M).T / scale
+    y = np.repeat(rows.reading_nT[:, :, None] / scale, len(beyond), axis=2)
+    y[rows.in_stretches] -= far_nT / scale
     ratio = (solved.gyro_noise_rad_s * scale) ** 2 / solved.variance_nT2
-    whole, at = np.ones(len(m)), (8 if with_S else 0) + 3 * fixed.shape[1]
-    gram = np.zeros((at + 7 + 3 * tried.shape[1],) * 2)
+    whole, at = np.ones(len(y)), (8 if with_S else 0) + 3 * fixed.shape[1]
+    gram = np.zeros((at + 6 + 3 * tried.shape[1] + len(beyond),) * 2)
     for one in rows.followed(solved.bias_rad_s, solved.errors_rad_s):
-        clear = _cleared(one, m, true, d, whole, ratio, with_S=with_S)
+        clear = _cleared(one, y[..., 0], true, d, whole, ratio, with_S=with_S, fitted=y)
         seen = np.column_stack([clear.G[:, :at], clear.G[:, -6:], clear.G[:, at:-6], clear.y])
         gram += seen.T @ seen
-    return drops_of(gram * scale**2 / solved.variance_nT2, at + 6, 1)
+    return drops_of(gram * scale**2 / solved.variance_nT2, at + 6, beyond)
 
 
 def _residual(one: Stretch, reading_nT: FloatArray, S: FloatArray, c: FloatArray, weights: FloatArray) -> FloatArray:

@@ -199,10 +199,10 @@ def _drops(
     error = -fit.residuals_nT[rows] @ np.linalg.inv(np.eye(3) + fit.calibration.S).T
     fields = {one: bias.value_nT for one, bias in fit.calibration.telemetry_bias.items()}
     here, there = ({one: values[rows] for one, values in columns.items()} for columns in (of_fit, now))
-    y = drivers.to_explain(error, fit.kept[rows], fields, here, there, name, tried[rows])
+    left_nT, far_nT, beyond = drivers.drawn_in(error, fit.kept[rows], fields, here, there, name, tried[rows])
     others = [*_others(fit, design), *(values for one, values in now.items() if one != name)]
-    gram = _products(fit, design, rows, [*others, *tried.T], y)
-    return drivers.drops_of(gram, 3 * len(others), y.shape[2])
+    gram = _products(fit, design, rows, [*others, *tried.T], left_nT - far_nT)
+    return drivers.drops_of(gram, 3 * len(others), beyond)
 
 
 def _others(fit: LinearFit, design: Design) -> list[FloatArray]:

@@ -137,16 +137,16 @@ def _drops(fit: ScalarFit, rows: ScalarRows, now: drivers.Columns, name: str, tr
     true = known.apply(rows.B_nT, np.zeros_like(rows.B_nT), rows.columns)
     along = (true / np.linalg.norm(true, axis=1)[:, None]) @ (np.eye(3) + known.S)
     fields = {one: along @ bias.value_nT[:, None] for one, bias in known.telemetry_bias.items()}
-    y = drivers.to_explain(fit.residuals_nT, kept, fields, rows.columns, now, name, tried)[:, 0]
+    y, far, beyond = drivers.drawn_in(fit.residuals_nT, kept, fields, rows.columns, now, name, tried)
     others = [np.ones(len(rows)), *(values for one, values in now.items() if one != name)]
     if known.S.any():
         others += list(rows.B_nT.T)
     parts = [along * part[:, None] for part in [*others, *tried.T]]
-    seen = np.column_stack([*parts, y])
+    seen = np.column_stack([*parts, (y - far)[:, 0]])
     step_s = float(np.median(np.diff(fit.time).astype("int64"))) * 1e-9
     memory = max(2.0 * fit.statistics.correlation_time_s / step_s, 1.0)
     left = float((fit.residuals_nT[kept] ** 2).mean())
-    return drivers.drops_of(seen.T @ seen / (left * memory), 3 * len(others), y.shape[1])
+    return drivers.drops_of(seen.T @ seen / (left * memory), 3 * len(others), beyond / memory)
 
 
 def fit_rows(

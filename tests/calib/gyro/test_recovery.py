@@ -211,7 +211,7 @@ def test_a_column_lowers_chi_square_by_what_fitting_it_does() -> None:
     beside = solve(rows._replace(columns=on), whole, start=start, corrected=False)
     freedom = 3 * 120 - 3 * (degree_for(170.0) + 1) * len(cuts) - 14
     lowered = without.variance_nT2 * freedom - beside.variance_nT2 * (freedom - 3)
-    found = drops(rows, solved, np.ones(120, dtype=bool), none, on)
+    found = drops(rows, solved, none, on, np.zeros((120, 3, 1)), np.zeros(1))
     assert found == pytest.approx([lowered / solved.variance_nT2], rel=1e-6)
 
 

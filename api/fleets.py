@@ -14,7 +14,7 @@ from fluxtwin.diagnosing import Assumed, diagnose, with_assumed
 from fluxtwin.gap.problem.problem import DEFAULT_MODELLED
 from fluxtwin.notebook import usual
 from fluxtwin.scenarios.page import Table
-from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.errors import BadInput, names_in
 from fluxtwin.sim.base.progress import Progress
 from fluxtwin.sim.base.workers import answers, require_workers
 from fluxtwin.sim.telemetry.telemetry_files import Readable
@@ -50,7 +50,7 @@ def fleet(
     if len(vehicles) < 3:
         wanted = "three or more: with two, nothing says which one differs"
         raise BadInput(f"{len(vehicles)} vehicles", where="fleet", wanted=wanted)
-    options = {"scenario": scenario, "modelled": tuple(modelled), **assumed}
+    options = {"scenario": scenario, "modelled": tuple(names_in(modelled)), **assumed}
     found = diagnoses(vehicles, options, jobs=jobs, scheduler=scheduler, executor=executor, progress=progress)
     return together(list(found), list(found.values()))
 

@@ -27,7 +27,7 @@ from fluxtwin.gap.records.diagnosis import Diagnosis, diagnosis_schema
 from fluxtwin.gap.records.plan import CalibrationPlan, Plan, Question, SigmaCourse
 from fluxtwin.notebook import usual
 from fluxtwin.scenarios.packaged import as_scenario
-from fluxtwin.sim.base.errors import BadInput, NoAnswer
+from fluxtwin.sim.base.errors import BadInput, NoAnswer, names_in
 from fluxtwin.sim.base.limits import text_of
 from fluxtwin.sim.base.progress import Progress
 from fluxtwin.sim.base.seals import unsealed_json
@@ -204,12 +204,12 @@ def plan(
     Raises BadInput for limits that leave nothing to fly, NoAnswer where nothing is left open.
     """
     assumed: Any = dict(options)
-    reading = reading_of(assumed)
+    reading, names = reading_of(assumed), names_in(names)
     field, degree = assumed.get("field"), assumed.get("degree")
     allowed = limits_of(limits)
     config = None if scenario is None else as_scenario(scenario)
     notes = [_INFERRED] if config is None else []
-    if tuple(names) == ("calibration",):
+    if names == ["calibration"]:
         if isinstance(telemetry, Diagnosis) or (isinstance(telemetry, Path | str) and str(telemetry).endswith(".json")):
             raise BadInput("a diagnosis has no readings to calibrate", where="plan", wanted="telemetry")
         record = as_record(telemetry, **reading)

@@ -55,6 +55,10 @@ def test_lists_may_be_typed_as_on_the_command_line(flown: str) -> None:
     load = record.replace(drivers={"load": np.arange(len(record)) % 10 < 5.0})
     assert "driver_load" in fluxtwin.calibrate(load, driver="load").calibration.telemetry_bias
     assert not fluxtwin.calibrate(load, driver="all").calibration.telemetry_bias, "it drives nothing"
+    with pytest.raises(fluxtwin.BadInput, match="no effect is called 'biass'"):
+        fluxtwin.fleet(dict.fromkeys("abc", flown), modelled="biass", jobs=1)
+    with pytest.raises(fluxtwin.BadInput, match="a diagnosis has no readings to calibrate"):
+        fluxtwin.plan("found.json", names="calibration")
     with pytest.raises(TypeError, match="did you mean attitude_sigma_deg"):
         fluxtwin.diagnose(flown, attitude_sigma=0.1)
 

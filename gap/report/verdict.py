@@ -330,8 +330,9 @@ def _asked_for(untestable: Mapping[str, str], work: Work) -> dict[str, str]:
 
 def _resembles(work: Work) -> list[str]:
     result = work.answer.result
-    if result.resembles or result.named:
-        return list(result.resembles) or [one.name for one in result.named]
+    found = [*(result.resembles or [one.name for one in result.named]), *(one.name for one in work.answer.shapes)]
+    if found:
+        return list(dict.fromkeys(found))
     return [line.name for line in result.ranking[:LARGEST] if line.p_value < GATE]
 
 

@@ -108,3 +108,15 @@ def test_a_patch_of_unknown_field_over_a_region_is_unknown():
     found = diagnosed(record.replace(mag_B_nT=np.asarray(record.mag_B_nT) + 100.0 * np.rint(patch_B / 100.0)))
     assert found.verdict == "unknown"
     assert found.sentence.startswith("There is a gap that the catalogue does not explain")
+
+
+def test_a_second_line_leaves_it_unknown_and_the_first_is_what_it_resembles():
+    """A wheel's line turns on an ellipse, and one on a straight line is no wheel's: what makes two is not known."""
+    record = telemetry("nadir")
+    t = np.arange(len(record)) * 30.0
+    wheel_nT = 300.0 * np.stack([np.cos(0.0371 * t), np.sin(0.0371 * t), 0.3 * np.cos(0.0371 * t)], axis=1)
+    line_nT = 150.0 * np.outer(np.cos(0.0633 * t), [0.6, -0.5, 0.62])
+    found = diagnosed(record.replace(mag_B_nT=record.mag_B_nT + 100.0 * np.rint((wheel_nT + line_nT) / 100.0)))
+    assert found.verdict == "unknown"
+    assert found.resembles == ["wheel_field"]
+    assert "It resembles wheel_field." in found.sentence

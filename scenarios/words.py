@@ -27,7 +27,8 @@ from importlib import import_module, resources
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jinja2 import Environment, StrictUndefined, Template, Undefined, UndefinedError
+from jinja2 import Environment, StrictUndefined, Template, Undefined, UndefinedError, pass_context
+from jinja2.runtime import Context
 
 from fluxtwin.scenarios.page import Cell, FigureBlock, Page, PageSection, StudyResult, Table
 from fluxtwin.sim.earth.constants import NT_PER_MG
@@ -129,10 +130,20 @@ class Words:
         **names: Any,
     ) -> None:
         """package: as `fluxtwin.scenarios.seasat`; files: `words.md` where there is no other; filters: further ones of
-        jinja's. What every section may use, besides `say`, which gives another section: names, and the functions and
-        modules in `known` under their own."""
+        jinja's. What every section may use, besides `say`, which gives another section, and `table`, which gives it as a
+        table of what the caller knows: names, and the functions and modules in `known` under their own."""
         self._package, self._jinja = package, _environment()
-        self._jinja.globals |= {"say": self.say, **{one.__name__.rpartition(".")[2]: one for one in known}, **names}
+
+        @pass_context
+        def table(context: Context, name: str) -> Table:
+            return self.table(name, **context.get_all())
+
+        self._jinja.globals |= {
+            "say": self.say,
+            "table": table,
+            **{one.__name__.rpartition(".")[2]: one for one in known},
+            **names,
+        }
         self._jinja.filters |= filters or {}
         self._sections: dict[str, Template] = {}
         for file in files or ("words.md",):
@@ -209,8 +220,9 @@ class Words:
     def summary(self, **values: Any) -> dict[str, Any]:
         """The content of `summary.json` from `summary.toml`, which says of each entry what it is, as an expression of jinja.
 
-        `let` names parts, `terminal` the tables of the terminal, in order. In a table `with` is a mapping whose entries it
-        has as well; with `each` it is made of every entry of a mapping (`key`, `one`) or of a list (`place`, `one`).
+        `let` names parts, which all of a `result` may use; `terminal` the tables of the terminal, in order. In a table
+        `with` is a mapping whose entries it has as well; with `each` it is made of every entry of a mapping (`key`, `one`)
+        or of a list (`place`, `one`).
         """
         tree = {key: part for key, part in self._summary.items() if key not in ("let", "terminal")}
         made: dict[str, Any] = _plain(self._entry(tree, self._with_parts(self._summary.get("let", {}), values)))
@@ -246,6 +258,7 @@ class Words:
         claims: with their statuses, of which there are the tables `claims`, `statuses` and `whys`; made: further tables that
         are no sections of the words.
         """
+        values = self._with_parts(self._summary.get("let", {}), values)
         line = self.say("status", counted=counted(claims), **values)
         found = {**(made or {}), **claims_tables(claims)}
         return StudyResult(

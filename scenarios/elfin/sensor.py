@@ -18,7 +18,7 @@ from numpy.polynomial.polynomial import polyval
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from fluxtwin.scenarios.elfin.record import Flight
+from fluxtwin.scenarios.elfin.record import Flight, Lags
 from fluxtwin.scenarios.elfin.zone_fit import ZoneFit, rms, turning
 from fluxtwin.scenarios.flights import Numbers
 from fluxtwin.scenarios.recorded_files import Settings
@@ -34,9 +34,6 @@ _PHASE_STEP = 1e-5
 _STEPS = {"matrix": 1e-4, "offset": 1.0, "turn": 1e-4, "scale": 1e-4, "bias": 1e-3}
 _AXIS_RESPONSE = (1.0, -0.6, 0.0)
 """Where the third column of the matrix starts: the field is near the spin plane, one zone hardly shows it."""
-
-Lags = tuple[tuple[float, ...], ...]
-"""The lags of each state, those of one state in series [s]."""
 
 
 @dataclass(frozen=True)
@@ -108,10 +105,9 @@ def rows_of(flight: Flight, own: Sequence[ZoneFit], lags_s: Lags, every: int) ->
     found = []
     for zone, fit in zip(flight.zones, own, strict=True):
         picked = np.flatnonzero(zone.used)[::every]
-        states = [flight.day.lagged(zone.seconds[picked], *series) for series in lags_s]
-        stacked = np.stack(states, axis=1) if states else np.zeros((picked.size, 0))
+        states = flight.day.states(zone.seconds[picked], lags_s)
         base = fit.rate_rad_s * zone.late_s[picked]
-        found.append(Rows(zone.share[picked], base, zone.field_S_nT[picked], zone.reading_nT[picked], stacked))
+        found.append(Rows(zone.share[picked], base, zone.field_S_nT[picked], zone.reading_nT[picked], states))
     return found
 
 
@@ -210,6 +206,8 @@ def compare(
             fitted.append((lags_s, rows, fit_joint(rows, begin, free)))
         best = min(fitted, key=lambda one: one[2].whole_nT)
         unseen_nT, unseen = zip(*(_fold(flight, fitted, free, left_out) for left_out in range(len(own))), strict=True)
+        whole_nT = np.sqrt(np.mean(np.square(unseen_nT)))
+        first = ways[0] if ways else Numbers(unseen_nT=unseen_nT, unseen_whole_nT=whole_nT)
         way = Numbers(
             # A model of what follows sun and shadow, with the lags it may choose from.
             name=name,
@@ -222,10 +220,22 @@ def compare(
             # rms over the zones.
             unseen_nT=unseen_nT,
             unseen=unseen,
-            unseen_whole_nT=np.sqrt(np.mean(np.square(unseen_nT))),
+            unseen_whole_nT=whole_nT,
+            # The same over the first model's, and the number of zones in which it is below half of that model's.
+            of_static=round(float(whole_nT / first.unseen_whole_nT), 3),
+            below=np.sum(np.array(unseen_nT) < 0.5 * np.array(first.unseen_nT)),
+            tilted_deg=_tilted_deg(flight, best[2].sensor, best[0]),
         )
         ways.append(way)
     return tuple(ways)
+
+
+def _tilted_deg(flight: Flight, sensor: Sensor, lags_s: Lags) -> float:
+    """How far the sensor tilts from one moment of the zones to another, at most; its turn about the spin axis cannot be
+    distinguished from the spin phase."""
+    seconds = np.concatenate([zone.seconds[zone.used][::50] for zone in flight.zones])
+    tilts = (flight.day.states(seconds, lags_s) @ sensor.turn_rad)[:, :2]
+    return float(np.degrees(np.linalg.norm(tilts[:, None, :] - tilts[None, :, :], axis=2).max()))
 
 
 def _fold(

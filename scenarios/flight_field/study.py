@@ -14,11 +14,9 @@ An attitude error does not change the magnitude, so a time offset found in the m
 
 from __future__ import annotations
 
-import csv
 import math
-from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -33,10 +31,10 @@ from fluxtwin.scenarios.flight_field.tracks import (
     read_ring_current,
     read_swarm,
 )
-from fluxtwin.scenarios.flights import Numbers, rms
+from fluxtwin.scenarios.flights import Mission, Numbers, rms
 from fluxtwin.scenarios.page import StudyResult
 from fluxtwin.scenarios.recorded_files import Settings, run_on_files
-from fluxtwin.scenarios.words import Words
+from fluxtwin.scenarios.words import DIFFERS, NOT_TESTABLE, REPRODUCED, Words
 from fluxtwin.sim.base.progress import Progress, silent
 from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
 from fluxtwin.sim.earth import epoch, frames
@@ -50,8 +48,7 @@ RING_CURRENT, TIME_OFFSET, PITCH = "ring current [nT]", "time offset [s]", "pitc
 _STEP_S = 0.5
 SETTINGS = Path(__file__).parent / "flight_field.toml"
 """What the study runs with; a copy lies beside its results."""
-FIGURES = Path(__file__).parent / "data" / "figures.csv"
-"""The independent figures, in the form of data/README.md."""
+PRINTED = Mission("fluxtwin.scenarios.flight_field")
 _CHAOS = "chaos7 with external field"
 Key: TypeAlias = tuple[str, str, str, str, str]
 """(track, model, selection, quantity, component) of a figure."""
@@ -170,38 +167,19 @@ def run(out: Path, data: Path | None, progress: Progress = silent) -> StudyResul
     return run_on_files(SETTINGS, out, data, progress, compute, present)
 
 
-@dataclass(frozen=True)
-class Independent:
-    """One figure of the independent look, and ours."""
-
-    id: str
-    key: Key
-    value: float
-    unit: str
-    last_digit: float
-    printed: str
-    here: float | None = None
-    status: str = "not testable"
-    """`reproduced`, `differs` or `not testable`."""
-    why: str = ""
-    """Why it differs or cannot be tested; empty where it is reproduced."""
-
-    @property
-    def shown(self) -> float | None:
-        """Ours with one digit more than the printed figure."""
-        return None if self.here is None else round(self.here, 1 - math.floor(math.log10(self.last_digit)))
+def read_figures() -> list[Numbers]:
+    """The packaged independent figures, in the form of data/README.md, each with its key."""
+    return [
+        Numbers(
+            **{name: row[name] for name in ("id", "unit", "printed")},
+            **{name: float(row[name]) for name in ("value", "last_digit")},
+            key=tuple(row[name] for name in ("track", "model", "selection", "quantity", "component")),
+        )
+        for row in PRINTED.table("figures")
+    ]
 
 
-def read_figures() -> list[Independent]:
-    """The packaged figures."""
-    with FIGURES.open(encoding="utf-8", newline="") as lines:
-        return [
-            Independent(name, (track, model, rows, quantity, part), float(value), unit, float(digit), printed)
-            for name, track, model, rows, quantity, part, value, unit, digit, printed in list(csv.reader(lines))[1:]
-        ]
-
-
-def beside(figures: Sequence[Independent], here: Mapping[Key, float], why: Mapping[str, str]) -> list[Independent]:
+def beside(figures: Sequence[Numbers], here: Mapping[Key, float], why: Mapping[str, str]) -> list[Numbers]:
     """Ours beside each figure: reproduced within one unit of its last printed digit.
 
     here: what was computed, by key; a key that is missing makes the figure not testable. why: the explanation
@@ -209,13 +187,14 @@ def beside(figures: Sequence[Independent], here: Mapping[Key, float], why: Mappi
     """
     compared = []
     for figure in figures:
-        ours, status = here.get(figure.key), "not testable"
+        ours, status, shown = here.get(figure.key), NOT_TESTABLE, None
         if ours is not None:
             # a thousandth of a digit for the decimals that binary numbers cannot hold
-            agrees = abs(ours - figure.value) <= 1.001 * figure.last_digit
-            status = "reproduced" if agrees else "differs"
-        reason = "" if status == "reproduced" else why.get(figure.id, "no explanation found")
-        compared.append(replace(figure, here=ours, status=status, why=reason))
+            status = REPRODUCED if abs(ours - figure.value) <= 1.001 * figure.last_digit else DIFFERS
+            # with one digit more than the printed figure
+            shown = round(ours, 1 - math.floor(math.log10(figure.last_digit)))
+        reason = "" if status == REPRODUCED else why.get(figure.id, "no explanation found")
+        compared.append(figure.model_copy({"here": ours, "status": status, "why": reason, "shown": shown}))
     return compared
 
 
@@ -247,6 +226,8 @@ def compute(folder: Path, settings: Settings, progress: Progress) -> Numbers:
     one_pass = ("one pass", low_latitude(swarm, settings.low_latitude_deg))
     fits += [fit(storm[0], one_pass, {RING_CURRENT: ring}, [RING_CURRENT], on) for on in ("vector", "magnitude")]
     along = np.add(*rc.at(swarm.time))
+    row = int(np.argmin(np.abs(swarm.latitude_deg)))
+    of_day = (swarm.time[row] - swarm.time[row].astype("datetime64[D]")).astype("int64") / 3600e9
     return Numbers(
         # To IGRF-14 at one epoch, at each stamp, and with the causes fitted at low latitude.
         magsat=fixed,
@@ -259,6 +240,8 @@ def compute(folder: Path, settings: Settings, progress: Progress) -> Numbers:
         rc=rc,
         # Lowest and highest RC along the track of Swarm.
         rc_range_nT=(float(along.min()), float(along.max())),
+        # Local time of Swarm's sample nearest to the equator.
+        hours=float((of_day + swarm.longitude_deg[row] / 15.0) % 24.0),
         fits=tuple(fits),
     )
 
@@ -311,7 +294,6 @@ def _magsat_fits(residual: Residual, model: FieldModel, settings: Settings) -> t
 
 def present(outcome: Numbers, settings: Settings) -> StudyResult:
     """What the study says of its outcome."""
-    figures = beside(read_figures(), found_figures(outcome, settings), explanations(outcome))
     tracks = (outcome.magsat.track, outcome.swarm[0].track)
     provenance = {
         **{track.name: track.source for track in tracks},
@@ -319,17 +301,23 @@ def present(outcome: Numbers, settings: Settings) -> StudyResult:
         "field models": f"IGRF-14; {settings.swarm.chaos_file} to degree {settings.swarm.crust_degree}",
         "settings": "flight_field.toml beside this page",
     }
-    values = _values(outcome, figures, settings)
-    return words().result("flight-field", provenance, **values)
+    return words().result(
+        "flight-field",
+        provenance,
+        o=outcome,
+        settings=settings.tree,
+        figures=beside(read_figures(), found_figures(outcome, settings), explanations(outcome)),
+    )
 
 
 @cache
 def words() -> Words:
     """The sections of `words.md`."""
     return Words(
-        "fluxtwin.scenarios.flight_field",
+        PRINTED.package,
         filters={"track": _track},
-        known=(low_latitude,),
+        known=(low_latitude, rms, selections, statistics),
+        parts=COMPONENTS,
         ring=RING_CURRENT,
         time=TIME_OFFSET,
         pitch=PITCH,
@@ -342,45 +330,21 @@ def explanations(outcome: Numbers) -> dict[str, str]:
     return {"swarm-rc": words().say("why_swarm_rc", o=outcome, later=later)}
 
 
-def _values(outcome: Numbers, figures: Sequence[Independent], settings: Settings) -> dict[str, Any]:
-    """What the words and tables of the page take; hours: local time of Swarm's sample nearest to the equator."""
-    count = Counter({"reproduced": 0} | Counter(figure.status for figure in figures))
-    high = ~low_latitude(outcome.magsat.track, settings.low_latitude_deg)
-    swarm = outcome.swarm[0].track
-    low = low_latitude(swarm, settings.low_latitude_deg)
-    row = int(np.argmin(np.abs(swarm.latitude_deg)))
-    of_day = (swarm.time[row] - swarm.time[row].astype("datetime64[D]")).astype("int64") / 3600e9
-    return {
-        "o": outcome,
-        "settings": settings.tree,
-        "limit": settings.low_latitude_deg,
-        "figures": figures,
-        "names": {"share": "share of the mean explained", "kp": "Kp", "rc": "RC"},
-        "count": count,
-        "others": ", ".join(f"{count[status]} {status}" for status in ("differs", "not testable") if count[status]),
-        "beyond": tuple(rms(r.NEC_nT[high]) for r in (outcome.magsat, outcome.magsat_explained)),
-        **dict(zip(("alone", "with_time", "with_pitch", "whole", "scalar"), outcome.fits, strict=False)),
-        "mean": [statistics(residual, low)["mean", "N"] for residual in outcome.swarm],
-        "storm": outcome.fits[-2],
-        "hours": float((of_day + swarm.longitude_deg[row] / 15.0) % 24.0),
-        "pairs": [(quantity, part) for quantity in ("rms", "mean") for part in COMPONENTS],
-        "selections": [
-            {"track": r.track.name, "model": r.model, "selection": words, "samples": int(rows.sum())}
-            | {f"{quantity}_{part}_nT": value for (quantity, part), value in statistics(r, rows).items()}
-            for r, words, rows in _selections(outcome, settings)
-        ],
-    }
-
-
-def _selections(outcome: Numbers, settings: Settings) -> Iterator[tuple[Residual, str, BoolArray]]:
-    words = f"|latitude| < {settings.low_latitude_deg:g} deg"
+def selections(outcome: Numbers, limit_deg: float) -> list[dict[str, Any]]:
+    """What `statistics` says of every residual and choice of rows."""
+    words = f"|latitude| < {limit_deg:g} deg"
+    found: list[dict[str, Any]] = []
     for residual in (outcome.magsat, outcome.magsat_at_stamps, outcome.magsat_explained, *outcome.swarm):
-        low, good = low_latitude(residual.track, settings.low_latitude_deg), residual.track.attitude_good
-        yield residual, "all", np.ones_like(low)
-        yield residual, words, low
+        low, good = low_latitude(residual.track, limit_deg), residual.track.attitude_good
+        chosen = {"all": np.ones_like(low), words: low}
         if residual is outcome.magsat:
-            yield residual, "attitude flag 0", good
-            yield residual, f"attitude flag 0, {words}", good & low
+            chosen |= {"attitude flag 0": good, f"attitude flag 0, {words}": good & low}
+        found += [
+            {"track": residual.track.name, "model": residual.model, "selection": name, "samples": int(rows.sum())}
+            | {f"{quantity}_{part}_nT": value for (quantity, part), value in statistics(residual, rows).items()}
+            for name, rows in chosen.items()
+        ]
+    return found
 
 
 def _track(residual: Residual, rows: BoolArray | slice = slice(None)) -> ResidualTrack:

@@ -15,7 +15,7 @@ from fluxtwin.gap.diagnose import diagnose
 from fluxtwin.gap.problem.problem import Budget
 from fluxtwin.scenarios.elfin.record import Day, Slip, Zone, read_flight
 from fluxtwin.scenarios.elfin.sensor import compare, record_of
-from fluxtwin.scenarios.elfin.zone_fit import KINDS, ZoneFit, fit_zone, local_noise_nT, responses
+from fluxtwin.scenarios.elfin.zone_fit import KINDS, fit_zone, local_noise_nT, responses
 from fluxtwin.scenarios.flights import Numbers, rms
 from fluxtwin.scenarios.page import Cell, StudyResult
 from fluxtwin.scenarios.recorded_files import Settings, run_on_files
@@ -52,7 +52,7 @@ def compute(folder: Path, settings: Settings, progress: Progress = silent) -> Nu
     for number, zone in enumerate(flight.zones):
         progress(f"zone {zone.number}", 0.05 + 0.25 * number / len(flight.zones))
         zones.append(_zone(zone, flight.day, settings, model))
-    own: list[ZoneFit] = [one.fits["static"] for one in zones]
+    own: list[Numbers] = [one.fits["static"] for one in zones]
     ways = compare(flight, own, settings, part_of(progress, 0.3, 0.75))
     best = min(ways[1:], key=lambda way: way.unseen_whole_nT)
     boom = min((way for way in ways if way.name in NAMED), key=lambda way: way.within.whole_nT)
@@ -125,12 +125,12 @@ def refusal(zone: Zone, model: FieldModel) -> str:
 def _seen(one: Numbers, slip: Slip) -> Numbers:
     """A slip named by its stamps, and what the spin phase of the readings says of it: the phase by which the readings differ
     from their neighbours, over the rate."""
-    fit: ZoneFit = one.fits["harmonic"]
+    fit: Numbers = one.fits["harmonic"]
     zone: Zone = one.zone
 
     def late_s(rows: np.ndarray) -> float:
         slope, residual = fit.slope_nT[rows], fit.residual_nT[rows]
-        return -float((slope * residual).sum() / (slope**2).sum()) / fit.rate_rad_s
+        return -float((slope * residual).sum() / (slope**2).sum()) / float(fit.rate_rad_s)
 
     inside = np.arange(slip.first, slip.last + 1)
     around = np.arange(max(slip.first - _NEIGHBOURS, 0), min(slip.last + _NEIGHBOURS + 1, zone.seconds.size))

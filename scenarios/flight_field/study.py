@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -24,13 +23,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from fluxtwin.plots.field_residuals import ResidualTrack
-from fluxtwin.scenarios.flight_field.tracks import (
-    Track,
-    read_kp,
-    read_magsat,
-    read_ring_current,
-    read_swarm,
-)
+from fluxtwin.scenarios.flight_field.tracks import Track, read_kp, read_magsat, read_ring_current, read_swarm
 from fluxtwin.scenarios.flights import Mission, Numbers, rms
 from fluxtwin.scenarios.page import StudyResult
 from fluxtwin.scenarios.recorded_files import Settings, run_on_files
@@ -54,24 +47,9 @@ Key: TypeAlias = tuple[str, str, str, str, str]
 """(track, model, selection, quantity, component) of a figure."""
 
 
-@dataclass(frozen=True)
-class Residual:
-    """Measured minus model along a track of N samples."""
-
-    track: Track
-    model: str
-    """What was subtracted, in words."""
-    model_NEC_nT: FloatArray
-    """(N, 3) what was subtracted."""
-    NEC_nT: FloatArray
-    """(N, 3) measured minus model."""
-    F_nT: FloatArray
-    """(N,) difference of the magnitudes."""
-
-
 def against_model(
     track: Track, model: FieldModel, words: str, time: TimeArray | np.datetime64 | None = None
-) -> Residual:
+) -> Numbers:
     """Residual of the track to a field model, at the stamps' own epochs or at the one given.
 
     Raises OutOfRange for an epoch outside the model.
@@ -79,10 +57,17 @@ def against_model(
     return against_field(track, field_NEC_nT(model, track.time if time is None else time, track.r_E_km), words)
 
 
-def against_field(track: Track, model_NEC_nT: FloatArray, words: str) -> Residual:
-    """Residual of the track to a field (N, 3) in its own components."""
-    size = np.linalg.norm(track.b_NEC_nT, axis=1) - np.linalg.norm(model_NEC_nT, axis=1)
-    return Residual(track, words, model_NEC_nT, track.b_NEC_nT - model_NEC_nT, size)
+def against_field(track: Track, model_NEC_nT: FloatArray, words: str) -> Numbers:
+    """Residual of the track, N samples, to a field (N, 3) in its own components."""
+    return Numbers(
+        track=track,
+        # What was subtracted, in words, and (N, 3).
+        model=words,
+        model_NEC_nT=model_NEC_nT,
+        # (N, 3) measured minus model, and (N,) the difference of the magnitudes.
+        NEC_nT=track.b_NEC_nT - model_NEC_nT,
+        F_nT=np.linalg.norm(track.b_NEC_nT, axis=1) - np.linalg.norm(model_NEC_nT, axis=1),
+    )
 
 
 def low_latitude(track: Track, limit_deg: float) -> BoolArray:
@@ -91,7 +76,7 @@ def low_latitude(track: Track, limit_deg: float) -> BoolArray:
     return low
 
 
-def statistics(residual: Residual, rows: BoolArray) -> Mapping[tuple[str, str], float]:
+def statistics(residual: Numbers, rows: BoolArray) -> Mapping[tuple[str, str], float]:
     """rms and mean [nT] of N, E, C and F over the rows, by (quantity, component)."""
     parts = dict(zip(COMPONENTS, (*residual.NEC_nT[rows].T, residual.F_nT[rows]), strict=True))
     return {("rms", name): rms(part) for name, part in parts.items()} | {
@@ -99,21 +84,21 @@ def statistics(residual: Residual, rows: BoolArray) -> Mapping[tuple[str, str], 
     }
 
 
-def ring_current_NEC(model: FieldModel, residual: Residual, induced_share: float) -> FloatArray:
+def ring_current_NEC(model: FieldModel, residual: Numbers, induced_share: float) -> FloatArray:
     """(N, 3) field of a ring current of 1 nT at the dipole equator on the ground, induced part included."""
     track = residual.track
     external_E = unit_storm_E(dipole_axis_E(model, track.time[0]), track.r_E_km, induced_share)
     return np.asarray(frames.rotation_NEC_E(track.r_E_km).apply(external_E / (1.0 + induced_share)))
 
 
-def time_offset_NEC(model: FieldModel, residual: Residual) -> FloatArray:
+def time_offset_NEC(model: FieldModel, residual: Numbers) -> FloatArray:
     """(N, 3) change of the residual for each second by which the position runs ahead of the field [nT/s]."""
     track, velocity = residual.track, _velocity_E_km_s(residual)
     ahead, behind = (field_NEC_nT(model, track.time, track.r_E_km + s * velocity) for s in (_STEP_S, -_STEP_S))
     return -(ahead - behind) / (2.0 * _STEP_S)
 
 
-def pitch_NEC(residual: Residual) -> FloatArray:
+def pitch_NEC(residual: Numbers) -> FloatArray:
     """(N, 3) change of the measured vector for a turn of one degree about the orbit normal [nT/deg]."""
     r_E_km = residual.track.r_E_km
     normal_E = np.cross(r_E_km, _velocity_E_km_s(residual))
@@ -123,7 +108,7 @@ def pitch_NEC(residual: Residual) -> FloatArray:
 
 
 def fit(
-    residual: Residual,
+    residual: Numbers,
     chosen: tuple[str, BoolArray],
     columns: Mapping[str, FloatArray],
     causes: Sequence[str],
@@ -155,7 +140,7 @@ def fit(
     )
 
 
-def _velocity_E_km_s(residual: Residual) -> FloatArray:
+def _velocity_E_km_s(residual: Numbers) -> FloatArray:
     """(N, 3) Earth-fixed velocity from the positions."""
     track = residual.track
     velocity: FloatArray = np.gradient(track.r_E_km, epoch.seconds_since(track.time, track.time[0]), axis=0)
@@ -271,7 +256,7 @@ def found_figures(outcome: Numbers, settings: Settings) -> Mapping[Key, float]:
     }
 
 
-def _magsat_fits(residual: Residual, model: FieldModel, settings: Settings) -> tuple[list[Numbers], Residual]:
+def _magsat_fits(residual: Numbers, model: FieldModel, settings: Settings) -> tuple[list[Numbers], Numbers]:
     """The causes at low latitude, both passes and each, and the residual that remains along the whole track."""
     track = residual.track
     columns = {
@@ -347,7 +332,7 @@ def selections(outcome: Numbers, limit_deg: float) -> list[dict[str, Any]]:
     return found
 
 
-def _track(residual: Residual, rows: BoolArray | slice = slice(None)) -> ResidualTrack:
+def _track(residual: Numbers, rows: BoolArray | slice = slice(None)) -> ResidualTrack:
     """The record that the figures take; of the chosen rows only, where some are chosen."""
     track = residual.track
     place = (track.time[rows], track.latitude_deg[rows], track.longitude_deg[rows])

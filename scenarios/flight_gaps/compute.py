@@ -323,11 +323,11 @@ def visible_nT(
     return rms(image), rms(image - _fit(problem.nuisance, image)[0])
 
 
-def _fit(design: FloatArray, residual: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _fit(design: FloatArray, residual: FloatArray, rcond: float = _RCOND) -> tuple[FloatArray, FloatArray]:
     """What columns (M, P) of any units explain of the residual (M,), and their coefficients."""
     length = np.linalg.norm(design, axis=0)
     length = np.where(length > 0, length, 1.0)
-    found = np.linalg.lstsq(design / length, residual, rcond=_RCOND)[0]
+    found = np.linalg.lstsq(design / length, residual, rcond=rcond)[0]
     return np.asarray(design / length @ found), np.asarray(found / length)
 
 
@@ -344,8 +344,7 @@ def coefficients(given: Compensation, rate_Hz: float) -> Numbers:
     induced = u[:, rows] * flux[:, columns]
     eddy = np.einsum("ni,nj->nij", u, np.gradient(flux, 1.0 / rate_Hz, axis=0)).reshape(-1, 9)
     design = np.concatenate([u, induced, eddy], axis=1)
-    length = np.linalg.norm(design, axis=0)
-    found = np.linalg.lstsq(design / length, given.taken_nT, rcond=1e-13)[0] / length
+    _, found = _fit(design, given.taken_nT, 1e-13)
     S = np.zeros((3, 3))
     S[rows, columns] = 0.5 * found[3:9]
     K = found[9:].reshape(3, 3)

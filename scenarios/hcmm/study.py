@@ -13,23 +13,10 @@ import numpy as np
 from fluxtwin.calib.common.digits import with_sigma
 from fluxtwin.gap.channels.sun_nadir import open_channel
 from fluxtwin.gap.report.words import located
-from fluxtwin.scenarios.flights import (
-    ATTITUDES,
-    NAMES,
-    Numbers,
-    calibration_summary,
-    is_dynamic,
-    motion_of,
-    provenance,
-    rms_along,
-    rms_mG,
-    vector,
-    vector_sigma,
-    write_flight,
-)
+from fluxtwin.scenarios.flights import ATTITUDES, Numbers, is_dynamic, motion_of, provenance, rms_along, write_flight
 from fluxtwin.scenarios.hcmm import calibration, mission, scanner, strength, yaw
 from fluxtwin.scenarios.hcmm.calibration import BUDGET_RUNS, RUNS, run_calibrations, run_errors
-from fluxtwin.scenarios.hcmm.gallery import GROUND, REGION_DEG, run_gallery
+from fluxtwin.scenarios.hcmm.gallery import FAULTS, GROUND, REGION_DEG, run_gallery
 from fluxtwin.scenarios.hcmm.passes import ANOMALOUS, column_of, rms_of, run_dawn, run_passes
 from fluxtwin.scenarios.hcmm.scanner import run_horizon, run_scanner
 from fluxtwin.scenarios.hcmm.strength import FLIGHTS, ask, run_missing, weigh_field_error
@@ -39,13 +26,15 @@ from fluxtwin.scenarios.hcmm_orbit.fit import fit_orbit
 from fluxtwin.scenarios.hcmm_orbit.predictions import run_flight_test, weigh_ideas, windows_of
 from fluxtwin.scenarios.hcmm_orbit.record import read_passes
 from fluxtwin.scenarios.page import Page, StudyResult
-from fluxtwin.scenarios.words import Words, motion_table
+from fluxtwin.scenarios.regression import NAMES, calibration_summary, rms_mG, vector, vector_sigma
+from fluxtwin.scenarios.words import Words
 from fluxtwin.sim.base.progress import Progress, part_of, silent
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.earth.constants import NT_PER_MG
 from fluxtwin.sim.earth.field import load_field
 from fluxtwin.sim.earth.horizon import INFRARED_SOURCE
+from fluxtwin.sim.effects.switched_field import SwitchedField
 
 
 def pulls(r: Numbers) -> FloatArray:
@@ -64,7 +53,7 @@ def gallery_summary(answers: Sequence[Numbers]) -> list[dict[str, Any]]:
             "named": answer.name,
             "right": answer.right,
             "where": {name: getattr(answer.diagnosis.where, name) for name in ("stage", "axis", "frame", "condition")},
-            "located": answer.located,
+            "located": words().say("located_in", found=answer.diagnosis),
             "parameters": [vars(one) for one in answer.compared],
             "passes_not_used": answer.later
             and {
@@ -86,11 +75,13 @@ def words() -> Words:
     return Words(
         mission.PRINTED.package,
         "words.md",
+        "../studies.md",
         "claims.md",
         "gallery.md",
         known=(
             *(calibration, predictions, scanner, strength, yaw),
             *(calibration_summary, column_of, epoch.iso, epoch.seconds_since, located, mission.quantity),
+            *(SwitchedField, tuple),
             *(open_channel, pulls, rms_along, rms_mG, rms_of, vector, vector_sigma),
         ),
         clock=lambda time: epoch.iso(time)[11:19],
@@ -126,7 +117,6 @@ def present(results: Numbers) -> StudyResult:
         "hcmm",
         provenance(config),
         claims=said.judge(r=results),
-        made={"motion": motion_table(results.motion, said.say("pointing", r=results))},
         links={"Four faults, found from telemetry: the gallery": "gallery.html"},
         more_pages={"gallery": gallery_page(results.gallery, config.seed, results.gallery_law)},
         r=results,
@@ -151,7 +141,7 @@ def compute(
     progress: Progress = silent,
     *,
     runs: int = RUNS,
-    only: Sequence[str] = ("a", "b", "c", "d"),
+    only: Sequence[str] = tuple(FAULTS),
     attitude: str = ATTITUDES[0],
 ) -> Numbers:
     """All the numbers. `runs`: size of the Monte Carlo, `only`: cases of the gallery, both for quick looks.

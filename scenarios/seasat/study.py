@@ -11,24 +11,14 @@ from pathlib import Path
 import numpy as np
 
 from fluxtwin.calib.common.records import Calibration
-from fluxtwin.scenarios.flights import (
-    ATTITUDES,
-    NAMES,
-    NEAR_NODE_DEG,
-    Numbers,
-    calibration_summary,
-    motion_of,
-    provenance,
-    rms_mG,
-    vector,
-    write_flight,
-)
+from fluxtwin.scenarios.flights import ATTITUDES, NEAR_NODE_DEG, Numbers, motion_of, provenance, write_flight
 from fluxtwin.scenarios.page import StudyResult
+from fluxtwin.scenarios.regression import NAMES, calibration_summary, rms_mG, vector
 from fluxtwin.scenarios.seasat import geometry, mission
 from fluxtwin.scenarios.seasat.calibration import check_identities, run_calibrations, run_errors
 from fluxtwin.scenarios.seasat.mission import DATA_SETS, printed_value
 from fluxtwin.scenarios.seasat.yaw import SEEDS, STEP_S, run_accuracy, run_yaw
-from fluxtwin.scenarios.words import Words, motion_table
+from fluxtwin.scenarios.words import Words
 from fluxtwin.sim.base.progress import Progress, part_of, silent
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import constants
@@ -62,7 +52,6 @@ def present(results: Numbers) -> StudyResult:
         "seasat",
         provenance(results.scenario),
         claims=said.judge(r=results),
-        made={"motion": motion_table(results.motion, said.say("pointing", r=results))},
         r=results,
     )
 
@@ -103,6 +92,8 @@ def words() -> Words:
     """The sections of `words.md`."""
     return Words(
         mission.PRINTED.package,
+        "words.md",
+        "../studies.md",
         known=(
             *(calibration_summary, combinations, constants, geometry),
             *(mission.quantity, printed_S, pulls, rms_mG, vector),

@@ -194,7 +194,7 @@ def test_a_ring_current_of_one_nT(outcome: Numbers, close: Callable[..., None]) 
     equator = np.cross(pole, [0.0, 0.0, 1.0])
     place = 6371.2 * equator[None, :] / np.linalg.norm(equator)
     track = dataclasses.replace(outcome.magsat_at_stamps.track, r_E_km=place)
-    residual = dataclasses.replace(outcome.magsat_at_stamps, track=track)
+    residual = outcome.magsat_at_stamps.model_copy({"track": track})
     for share in (0.0, 0.27):
         field = causes.ring_current_NEC(model, residual, share)
         along = frames.rotation_NEC_E(place).inv().apply(field) @ pole

@@ -12,7 +12,7 @@ import pytest
 
 from fluxtwin.scenarios.hcmm import mission
 from fluxtwin.scenarios.hcmm.gallery import REGION_DEG, run_gallery
-from fluxtwin.scenarios.hcmm.study import gallery_page, gallery_summary
+from fluxtwin.scenarios.hcmm.study import gallery_page, gallery_summary, words
 from fluxtwin.sim.base import files
 
 pytestmark = [pytest.mark.closure, pytest.mark.usefixtures("lawless")]
@@ -37,7 +37,7 @@ def test_each_fault_is_named_and_placed(answers, key, name, stage, condition, lo
     assert found.verdict == "effect"
     assert [effect.name for effect in found.effects] == [name]
     assert (found.where.stage, found.where.condition) == (stage, condition)
-    assert answers[key].located.startswith(located)
+    assert words().say("located_in", found=found).startswith(located)
 
 
 @pytest.mark.parametrize("key", ["a", "b", "c", "d"])

@@ -33,6 +33,7 @@ from fluxtwin.sim.telemetry.record import Telemetry
 
 GROUND = "igrf14"
 FAULTS = {key: Numbers(key=key, **fault) for key, fault in mission.CASES["fault"].items()}
+"""What is wrong in each case, its name in the catalogue, and what the ground models."""
 REGION_DEG, FIELD_NT = (FAULTS["b"].changes["effects.switched_field"][name] for name in ("region_deg", "f_nT"))
 _LATER_MIN = 2880.0
 _APART_S = 300.0

@@ -43,6 +43,7 @@ BIAS_DEG = (0.40, -0.30)
 TRUSTED_HEADS = (2, 3)
 """Heads that define the attitude reference (C, text)."""
 SCANS, EARTHS = mission.CASES["scans"], mission.CASES["earth"]
+"""By name, the sign of body y of each scan axis; and the Earth that is seen, and what it is taken for."""
 CORRECTED, WORST = "infrared, flattening corrected", "infrared, taken for a sphere"
 """Two of EARTHS."""
 SHIFTS_DEG = np.arange(0.0, 360.0, 30.0)

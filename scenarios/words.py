@@ -19,7 +19,6 @@ from __future__ import annotations
 
 import re
 import tomllib
-from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, is_dataclass
 from functools import cached_property, partial
@@ -27,9 +26,10 @@ from importlib import import_module, resources
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jinja2 import Environment, StrictUndefined, Template, Undefined, UndefinedError
+from jinja2 import Environment, StrictUndefined, Template, Undefined, UndefinedError, pass_context
+from jinja2.runtime import Context
 
-from fluxtwin.scenarios.page import Cell, FigureBlock, Page, PageSection, StudyResult, Table
+from fluxtwin.scenarios.page import FigureBlock, Page, PageSection, StudyResult, Table
 from fluxtwin.sim.earth.constants import NT_PER_MG
 
 if TYPE_CHECKING:
@@ -65,8 +65,7 @@ class Claim:
 
     def to_dict(self) -> dict[str, object]:
         """As it is in `summary.json`."""
-        plain = {name: value for name, value in vars(self).items() if name != "why"}
-        return plain | ({"why": self.why} if self.why else {})
+        return {name: value for name, value in vars(self).items() if name != "why" or value}
 
 
 def claim_of(entry: Mapping[str, Any], found: Mapping[str, Any]) -> Claim:
@@ -92,28 +91,6 @@ def claim_of(entry: Mapping[str, Any], found: Mapping[str, Any]) -> Claim:
     )
 
 
-def counted(claims: Sequence[Claim]) -> str:
-    """As "9 of 24 claims reproduced, 2 put in, 0 definitions, 11 differ, 2 not testable"."""
-    counts = Counter(claim.status for claim in claims)
-    definitions = f"{counts[DEFINITION]} definition{'' if counts[DEFINITION] == 1 else 's'}"
-    return (
-        f"{counts[REPRODUCED]} of {len(claims)} claims reproduced, {counts[PUT_IN]} put in, {definitions}, "
-        f"{counts[DIFFERS]} differ{'s' if counts[DIFFERS] == 1 else ''}, {counts[NOT_TESTABLE]} not testable"
-    )
-
-
-def claims_tables(claims: Sequence[Claim]) -> dict[str, Table]:
-    """`claims`: one line each, with its reason; `statuses`: the same without; `whys`: the reasons alone."""
-    heading, columns = "The papers' claims", ["claim", "where", "printed", "here", "status"]
-    bare: list[list[Cell]] = [[c.id, c.where, c.paper, c.here, c.status] for c in claims]
-    full = [[*row[:4], f"{c.status}: {c.why}" if c.why else c.status] for row, c in zip(bare, claims, strict=True)]
-    return {
-        "claims": Table(heading, columns, full),
-        "statuses": Table(heading, columns, bare),
-        "whys": Table("Why not", ["claim", "status", "why"], [[c.id, c.status, c.why] for c in claims if c.why]),
-    }
-
-
 class Words:
     """The sections of a study's Markdown file, as text, tables, claims and pages.
 
@@ -129,10 +106,20 @@ class Words:
         **names: Any,
     ) -> None:
         """package: as `fluxtwin.scenarios.seasat`; files: `words.md` where there is no other; filters: further ones of
-        jinja's. What every section may use, besides `say`, which gives another section: names, and the functions and
-        modules in `known` under their own."""
+        jinja's. What every section may use, besides `say`, which gives another section, and `table`, which gives it as a
+        table of what the caller knows: names, and the functions and modules in `known` under their own."""
         self._package, self._jinja = package, _environment()
-        self._jinja.globals |= {"say": self.say, **{one.__name__.rpartition(".")[2]: one for one in known}, **names}
+
+        @pass_context
+        def table(context: Context, name: str) -> Table:
+            return self.table(name, **context.get_all())
+
+        self._jinja.globals |= {
+            "say": self.say,
+            "table": table,
+            **{one.__name__.rpartition(".")[2]: one for one in known},
+            **names,
+        }
         self._jinja.filters |= filters or {}
         self._sections: dict[str, Template] = {}
         for file in files or ("words.md",):
@@ -166,13 +153,12 @@ class Words:
         figures: Mapping[str, Callable[[], Figure]],
         provenance: Mapping[str, str],
         links: Mapping[str, str] | None = None,
-        made: Mapping[str, Table] | None = None,
         /,
         *,
         name: str = "page",
         **values: Any,
     ) -> Page:
-        """A section as a page; a table or figure is made where it is named. made: tables that are no sections."""
+        """A section as a page; a table or figure is made where it is named."""
         title, *blocks = self._blocks(name, values)
         sections: list[tuple[str, list[str], list[Table], list[FigureBlock]]] = []
         errata: list[str] = []
@@ -183,7 +169,7 @@ class Words:
                 continue
             heading, paragraphs, shown, drawn = sections[-1]
             if found := re.fullmatch(r"\[table ([\w ]+)\]", words):
-                shown.append((made or {}).get(found[1]) or self.table(found[1], **values))
+                shown.append(self.table(found[1], **values))
             elif found := re.fullmatch(r"\[figure (\w+)\] (.+)", words):
                 drawn.append(FigureBlock(found[1], found[2], figures[found[1]]()))
             elif heading == "Errata":
@@ -209,8 +195,9 @@ class Words:
     def summary(self, **values: Any) -> dict[str, Any]:
         """The content of `summary.json` from `summary.toml`, which says of each entry what it is, as an expression of jinja.
 
-        `let` names parts, `terminal` the tables of the terminal, in order. In a table `with` is a mapping whose entries it
-        has as well; with `each` it is made of every entry of a mapping (`key`, `one`) or of a list (`place`, `one`).
+        `let` names parts, which all of a `result` may use; `terminal` the tables of the terminal, in order. In a table
+        `with` is a mapping whose entries it has as well; with `each` it is made of every entry of a mapping (`key`, `one`)
+        or of a list (`place`, `one`).
         """
         tree = {key: part for key, part in self._summary.items() if key not in ("let", "terminal")}
         made: dict[str, Any] = _plain(self._entry(tree, self._with_parts(self._summary.get("let", {}), values)))
@@ -236,24 +223,22 @@ class Words:
         /,
         *,
         claims: Sequence[Claim] = (),
-        made: Mapping[str, Table] | None = None,
         links: Mapping[str, str] | None = None,
         more_pages: Mapping[str, Page] | None = None,
         **values: Any,
     ) -> StudyResult:
         """All that the study `name` hands back but the files that it writes.
 
-        claims: with their statuses, of which there are the tables `claims`, `statuses` and `whys`; made: further tables that
-        are no sections of the words.
+        claims: with their statuses, for the tables `claims`, `statuses` and `whys` of `studies.md`.
         """
-        line = self.say("status", counted=counted(claims), **values)
-        found = {**(made or {}), **claims_tables(claims)}
+        values = self._with_parts(self._summary.get("let", {}), {"claims": claims, **values})
+        line = self.say("status", **values)
         return StudyResult(
             name=name,
             status_line=line,
             summary=self.summary(**values) | ({"claims": [claim.to_dict() for claim in claims]} if claims else {}),
-            tables=[found.get(one) or self.table(one, **values) for one in self._summary["terminal"]],
-            page=self.page(line, self.figures(**values), provenance, links, found, **values),
+            tables=[self.table(one, **values) for one in self._summary["terminal"]],
+            page=self.page(line, self.figures(**values), provenance, links, **values),
             more_pages=more_pages or {},
         )
 
@@ -305,11 +290,6 @@ class Words:
         return {**said, "value": module.value, "unit": module.unit, "holds": module.holds}  # type: ignore[attr-defined]
 
 
-def motion_table(motion: Any, note: str) -> Table:
-    """How the vehicle of a study moved, from `flights.motion_of`, after a note on it."""
-    return Words("fluxtwin.scenarios", "motion.md").table("motion", m=motion, note=note)
-
-
 def _environment() -> Environment:
     """Jinja with what every study's words may use."""
     made = Environment(
@@ -321,7 +301,7 @@ def _environment() -> Environment:
         finalize=_said,
     )
     made.globals |= {one.__name__: one for one in _BUILTINS}
-    made.globals |= {"np": np, "nT_per_mG": NT_PER_MG, "matrix": _matrix, "plus_minus": _plus_minus, "some": _some}
+    made.globals |= {"np": np, "nT_per_mG": NT_PER_MG, "matrix": _matrix, "some": _some}
     made.filters |= {
         "f": _fixed,
         "listed": lambda values, digits=2, between=", ": between.join(_fixed(value, digits) for value in values),
@@ -376,8 +356,3 @@ def _matrix(values: np.ndarray) -> str:
 def _some(parts: Mapping[str, Any], *names: str) -> dict[str, Any]:
     """Those of the parts."""
     return {name: parts[name] for name in names}
-
-
-def _plus_minus(values: Sequence[float], spreads: Sequence[float]) -> str:
-    """As `1.2 ± 0.1, ...`."""
-    return ", ".join(f"{value:.1f} ± {spread:.1f}" for value, spread in zip(values, spreads, strict=True))

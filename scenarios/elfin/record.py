@@ -16,6 +16,8 @@ from fluxtwin.sim.telemetry.netcdf_files import NetcdfFile
 from fluxtwin.sim.telemetry.record import Telemetry
 from fluxtwin.sim.telemetry.telemetry_files import read_telemetry
 
+Lags = tuple[tuple[float, ...], ...]
+"""The lags of each thermal state, those of one state in series [s]."""
 MAP = "preset:elfin"
 """The column map of the record."""
 _IRREGULAR_S = 1e-3
@@ -92,6 +94,10 @@ class Day:
                 state[row + 1] = between + kept[row] * (state[row] - between)
         found: FloatArray = np.interp(seconds, self.seconds, state) - float(state.mean())
         return found
+
+    def states(self, seconds: FloatArray, lags_s: Lags) -> FloatArray:
+        """(N, J) one state for each entry of lags_s."""
+        return np.array([self.lagged(seconds, *series) for series in lags_s]).reshape(len(lags_s), seconds.size).T
 
     def shadow_s(self, at_s: float) -> tuple[float, float]:
         """The last entry into shadow before a moment, and how long that shadow lasts."""

@@ -18,8 +18,8 @@ from numpy.polynomial.polynomial import polyval
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from fluxtwin.scenarios.elfin.record import Flight
-from fluxtwin.scenarios.elfin.zone_fit import ZoneFit, rms, turning
+from fluxtwin.scenarios.elfin.record import Flight, Lags
+from fluxtwin.scenarios.elfin.zone_fit import rms, turning
 from fluxtwin.scenarios.flights import Numbers
 from fluxtwin.scenarios.recorded_files import Settings
 from fluxtwin.sim.base.progress import Progress, silent
@@ -34,23 +34,6 @@ _PHASE_STEP = 1e-5
 _STEPS = {"matrix": 1e-4, "offset": 1.0, "turn": 1e-4, "scale": 1e-4, "bias": 1e-3}
 _AXIS_RESPONSE = (1.0, -0.6, 0.0)
 """Where the third column of the matrix starts: the field is near the spin plane, one zone hardly shows it."""
-
-Lags = tuple[tuple[float, ...], ...]
-"""The lags of each state, those of one state in series [s]."""
-
-
-@dataclass(frozen=True)
-class Rows:
-    """Used rows of one zone, thinned; N rows."""
-
-    share: FloatArray
-    """(N,) time from the middle over half the length."""
-    base_rad: FloatArray
-    """(N,) phase at the constant rate that the zone's own fit found."""
-    field_S_nT: FloatArray
-    reading_nT: FloatArray
-    states: FloatArray
-    """(N, J)."""
 
 
 @dataclass(frozen=True)
@@ -73,13 +56,13 @@ class Sensor:
         steps = np.split(step, np.cumsum([part.size for part in parts])[:-1])
         return Sensor(*(part + one.reshape(part.shape) for part, one in zip(parts, steps, strict=True)))
 
-    def reading_nT(self, rows: Rows, phase: FloatArray) -> FloatArray:
+    def reading_nT(self, rows: Numbers, phase: FloatArray) -> FloatArray:
         """(N, 3)."""
         turned = self.in_body_nT(rows, phase) @ self.matrix.T
         bias_nT = rows.states @ (_BIAS_UNIT_NT * self.bias_knT)
-        return turned * (1.0 + rows.states @ self.scale) + self.offset_nT + bias_nT
+        return np.asarray(turned * (1.0 + rows.states @ self.scale) + self.offset_nT + bias_nT)
 
-    def in_body_nT(self, rows: Rows, phase: FloatArray) -> FloatArray:
+    def in_body_nT(self, rows: Numbers, phase: FloatArray) -> FloatArray:
         """(N, 3) field as the turned sensor sees it, body axes."""
         u = turning(rows.field_S_nT, rows.base_rad + polyval(rows.share, phase))
         seen = np.stack([u.real, u.imag, rows.field_S_nT[:, 2]], axis=1)
@@ -88,34 +71,25 @@ class Sensor:
         return np.asarray(Rotation.from_rotvec(-rows.states @ self.turn_rad).apply(seen))
 
 
-@dataclass(frozen=True)
-class Joint:
-    """A sensor and the phases of the zones it was fitted to."""
-
-    sensor: Sensor
-    phases: tuple[FloatArray, ...]
-    rms_nT: tuple[float, ...]
-    """Length of the residual vector, each zone."""
-
-    @property
-    def whole_nT(self) -> float:
-        """rms over the zones."""
-        return float(np.sqrt(np.mean(np.square(self.rms_nT))))
-
-
-def rows_of(flight: Flight, own: Sequence[ZoneFit], lags_s: Lags, every: int) -> list[Rows]:
+def rows_of(flight: Flight, own: Sequence[Numbers], lags_s: Lags, every: int) -> list[Numbers]:
     """Thinned rows of each zone with one state for each entry of lags_s, itself lags in series."""
     found = []
     for zone, fit in zip(flight.zones, own, strict=True):
         picked = np.flatnonzero(zone.used)[::every]
-        states = [flight.day.lagged(zone.seconds[picked], *series) for series in lags_s]
-        stacked = np.stack(states, axis=1) if states else np.zeros((picked.size, 0))
-        base = fit.rate_rad_s * zone.late_s[picked]
-        found.append(Rows(zone.share[picked], base, zone.field_S_nT[picked], zone.reading_nT[picked], stacked))
+        rows = Numbers(
+            # (N,) time from the middle over half the length; phase at the constant rate that the zone's own fit found.
+            share=zone.share[picked],
+            base_rad=fit.rate_rad_s * zone.late_s[picked],
+            field_S_nT=zone.field_S_nT[picked],
+            reading_nT=zone.reading_nT[picked],
+            # (N, J).
+            states=flight.day.states(zone.seconds[picked], lags_s),
+        )
+        found.append(rows)
     return found
 
 
-def start(fits: Sequence[ZoneFit], states: int, degree: int) -> tuple[Sensor, list[FloatArray]]:
+def start(fits: Sequence[Numbers], states: int, degree: int) -> tuple[Sensor, list[FloatArray]]:
     """From the zones' own fits: channel Z's azimuth is +y in all of them, the median of the matrices."""
     matrices, phases = [], []
     for fit in fits:
@@ -132,8 +106,8 @@ def start(fits: Sequence[ZoneFit], states: int, degree: int) -> tuple[Sensor, li
 
 
 def fit_joint(
-    rows: Sequence[Rows], begin: tuple[Sensor, Sequence[FloatArray]], free: Sequence[str], *, hold: bool = False
-) -> Joint:
+    rows: Sequence[Numbers], begin: tuple[Sensor, Sequence[FloatArray]], free: Sequence[str], *, hold: bool = False
+) -> Numbers:
     """Least squares over all zones given.
 
     free: of "turn", "scale", "bias", what follows the states besides the twelve. hold: only the phases are free.
@@ -154,15 +128,21 @@ def fit_joint(
     found = least_squares(residual, none, slopes, method="lm", x_scale="jac", ftol=1e-5)
     sensor, phases = _stepped(*begin, sizes, found.x)
     rms_nT = [rms(one.reading_nT - sensor.reading_nT(one, p)) for one, p in zip(rows, phases, strict=True)]
-    return Joint(sensor, tuple(phases), tuple(rms_nT))
+    return Numbers(
+        sensor=sensor,
+        phases=tuple(phases),
+        # Length of the residual vector, of each zone, and rms over the zones.
+        rms_nT=tuple(rms_nT),
+        whole_nT=np.sqrt(np.mean(np.square(rms_nT))),
+    )
 
 
-def seen_by(sensor: Sensor, rows: Rows, phase: FloatArray) -> Joint:
+def seen_by(sensor: Sensor, rows: Numbers, phase: FloatArray) -> Numbers:
     """A sensor that is known on a zone it was not fitted to: only the zone's spin phase is estimated."""
     return fit_joint([rows], (sensor, [phase]), (), hold=True)
 
 
-def _slopes(rows: Sequence[Rows], sensor: Sensor, phases: Sequence[FloatArray], sizes: FloatArray) -> FloatArray:
+def _slopes(rows: Sequence[Numbers], sensor: Sensor, phases: Sequence[FloatArray], sizes: FloatArray) -> FloatArray:
     """(M, P) derivative of all readings by the sensor's parameters of non-zero step, then by the zones' phases."""
     places, width, blocks = np.flatnonzero(sizes), phases[0].size, []
     moved = [(sensor.moved(sizes * (np.arange(sizes.size) == place)), sizes[place]) for place in places]
@@ -188,7 +168,7 @@ def _stepped(
 
 
 def compare(
-    flight: Flight, own: Sequence[ZoneFit], settings: Settings, progress: Progress = silent
+    flight: Flight, own: Sequence[Numbers], settings: Settings, progress: Progress = silent
 ) -> tuple[Numbers, ...]:
     """Every model, from nothing to all that the catalogue has for temperature, within and on unseen zones."""
     once: list[Lags] = [((lag,),) for lag in settings.settle_s]
@@ -200,7 +180,7 @@ def compare(
         ("boom, two lags", "boom behind two equal lags in series", ("turn",), twice),
         ("boom and scale", "boom and scale behind two lags side by side", ("turn", "scale"), pairs),
     ]
-    ways = []
+    ways: list[Numbers] = []
     for number, (name, about, free, choices) in enumerate(asked):
         progress(about, number / len(asked))
         fitted = []
@@ -210,6 +190,8 @@ def compare(
             fitted.append((lags_s, rows, fit_joint(rows, begin, free)))
         best = min(fitted, key=lambda one: one[2].whole_nT)
         unseen_nT, unseen = zip(*(_fold(flight, fitted, free, left_out) for left_out in range(len(own))), strict=True)
+        whole_nT = np.sqrt(np.mean(np.square(unseen_nT)))
+        first = ways[0] if ways else Numbers(unseen_nT=unseen_nT, unseen_whole_nT=whole_nT)
         way = Numbers(
             # A model of what follows sun and shadow, with the lags it may choose from.
             name=name,
@@ -222,14 +204,26 @@ def compare(
             # rms over the zones.
             unseen_nT=unseen_nT,
             unseen=unseen,
-            unseen_whole_nT=np.sqrt(np.mean(np.square(unseen_nT))),
+            unseen_whole_nT=whole_nT,
+            # The same over the first model's, and the number of zones in which it is below half of that model's.
+            of_static=round(float(whole_nT / first.unseen_whole_nT), 3),
+            below=np.sum(np.array(unseen_nT) < 0.5 * np.array(first.unseen_nT)),
+            tilted_deg=_tilted_deg(flight, best[2].sensor, best[0]),
         )
         ways.append(way)
     return tuple(ways)
 
 
+def _tilted_deg(flight: Flight, sensor: Sensor, lags_s: Lags) -> float:
+    """How far the sensor tilts from one moment of the zones to another, at most; its turn about the spin axis cannot be
+    distinguished from the spin phase."""
+    seconds = np.concatenate([zone.seconds[zone.used][::50] for zone in flight.zones])
+    tilts = (flight.day.states(seconds, lags_s) @ sensor.turn_rad)[:, :2]
+    return float(np.degrees(np.linalg.norm(tilts[:, None, :] - tilts[None, :, :], axis=2).max()))
+
+
 def _fold(
-    flight: Flight, fitted: Sequence[tuple[Lags, list[Rows], Joint]], free: tuple[str, ...], left_out: int
+    flight: Flight, fitted: Sequence[tuple[Lags, list[Numbers], Numbers]], free: tuple[str, ...], left_out: int
 ) -> tuple[float, tuple[FloatArray, FloatArray]]:
     """The lags are chosen without the zone too; the other zones' phases start where they are with it."""
     trained = []
@@ -244,7 +238,7 @@ def _fold(
     return seen.rms_nT[0], (minutes, one.reading_nT - seen.sensor.reading_nT(one, seen.phases[0]))
 
 
-def record_of(flight: Flight, own: Sequence[ZoneFit], lags_s: Sequence[float], settings: Settings) -> Telemetry:
+def record_of(flight: Flight, own: Sequence[Numbers], lags_s: Sequence[float], settings: Settings) -> Telemetry:
     """What the gap diagnosis is given: all zones, thinned, in body axes, readings through the static sensor that fits them
     best, attitude from spin axis and phase.
 

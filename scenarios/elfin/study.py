@@ -7,7 +7,6 @@ from dataclasses import replace
 from functools import cache
 from importlib import metadata
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -15,8 +14,8 @@ from fluxtwin.calib.scalar.calibrate import calibrate_scalar
 from fluxtwin.gap.diagnose import diagnose
 from fluxtwin.gap.problem.problem import Budget
 from fluxtwin.scenarios.elfin.record import Day, Slip, Zone, read_flight
-from fluxtwin.scenarios.elfin.sensor import Lags, compare, record_of
-from fluxtwin.scenarios.elfin.zone_fit import KINDS, ZoneFit, fit_zone, local_noise_nT, responses
+from fluxtwin.scenarios.elfin.sensor import compare, record_of
+from fluxtwin.scenarios.elfin.zone_fit import KINDS, fit_zone, local_noise_nT, responses
 from fluxtwin.scenarios.flights import Numbers, rms
 from fluxtwin.scenarios.page import Cell, StudyResult
 from fluxtwin.scenarios.recorded_files import Settings, run_on_files
@@ -37,9 +36,6 @@ _NEIGHBOURS = 50
 _LSB_NT = 0.01
 _AGREE_S = 5e-4
 """A slip seen in the spin phase to within that is the one that the stamps show."""
-_REACH = 0.5
-"""Of the static sensor's rms on unseen zones."""
-_RANKED = 6
 
 
 def run(out: Path, data: Path | None, progress: Progress = silent) -> StudyResult:
@@ -56,7 +52,7 @@ def compute(folder: Path, settings: Settings, progress: Progress = silent) -> Nu
     for number, zone in enumerate(flight.zones):
         progress(f"zone {zone.number}", 0.05 + 0.25 * number / len(flight.zones))
         zones.append(_zone(zone, flight.day, settings, model))
-    own: list[ZoneFit] = [one.fits["static"] for one in zones]
+    own: list[Numbers] = [one.fits["static"] for one in zones]
     ways = compare(flight, own, settings, part_of(progress, 0.3, 0.75))
     best = min(ways[1:], key=lambda way: way.unseen_whole_nT)
     boom = min((way for way in ways if way.name in NAMED), key=lambda way: way.within.whole_nT)
@@ -70,10 +66,13 @@ def compute(folder: Path, settings: Settings, progress: Progress = silent) -> Nu
         record = record_of(part, [own[place] for place in places], boom.lags_s[0], settings)
         diagnoses.append(diagnose(record, model, budget=budget, progress=part_of(progress, share, share + 0.1)))
     sunny, dark = ([k for k, zone in enumerate(flight.zones) if (zone.sunlit > 0.5) == lit] for lit in (True, False))
+    slips = tuple(_seen(one, slip) for one in zones for slip in one.zone.slips)
     return Numbers(
         flight=flight,
         zones=tuple(zones),
-        slips=tuple(_seen(one, slip) for one in zones for slip in one.zone.slips),
+        slips=slips,
+        # Those that the spin phase does not confirm.
+        off=[slip for slip in slips if abs(slip.stamps_late_s - slip.field_late_s) > _AGREE_S],
         ways=ways,
         # The model with the smallest residual on unseen zones.
         best=best,
@@ -126,12 +125,12 @@ def refusal(zone: Zone, model: FieldModel) -> str:
 def _seen(one: Numbers, slip: Slip) -> Numbers:
     """A slip named by its stamps, and what the spin phase of the readings says of it: the phase by which the readings differ
     from their neighbours, over the rate."""
-    fit: ZoneFit = one.fits["harmonic"]
+    fit: Numbers = one.fits["harmonic"]
     zone: Zone = one.zone
 
     def late_s(rows: np.ndarray) -> float:
         slope, residual = fit.slope_nT[rows], fit.residual_nT[rows]
-        return -float((slope * residual).sum() / (slope**2).sum()) / fit.rate_rad_s
+        return -float((slope * residual).sum() / (slope**2).sum()) / float(fit.rate_rad_s)
 
     inside = np.arange(slip.first, slip.last + 1)
     around = np.arange(max(slip.first - _NEIGHBOURS, 0), min(slip.last + _NEIGHBOURS + 1, zone.seconds.size))
@@ -155,75 +154,24 @@ def present(found: Numbers, settings: Settings) -> StudyResult:
         "fluxtwin": metadata.version("fluxtwin"),
         "python": platform.python_version(),
     }
-    return words().result("elfin", provenance, **_values(found, settings))
+    return words().result("elfin", provenance, o=found, settings=settings.tree)
 
 
 @cache
 def words() -> Words:
     """The sections of `words.md`."""
-    return Words(
-        "fluxtwin.scenarios.elfin",
-        agree_ms=1e3 * _AGREE_S,
-        degrees=lambda angles_rad: np.degrees(angles_rad).tolist(),
-        lags=lambda way: lags_words(way.lags_s),
-        median=np.median,
-        rms_by_kind=lambda fits: {kind: fit.rms_nT for kind, fit in fits.items()},
-        ranked=lambda one: ", ".join(f"{cause.name} {cause.drop:.3g}" for cause in one.ranking[:_RANKED]),
-        span=lambda values, digits=0: f"{min(values):.{digits}f} to {max(values):.{digits}f}",
-    )
+    return Words("fluxtwin.scenarios.elfin", agree_ms=1e3 * _AGREE_S, known=(unseen_rows,))
 
 
-def _values(found: Numbers, settings: Settings) -> dict[str, Any]:
-    """What the words of the page take."""
-    static = found.ways[0]
-    sunny = [one for one in found.zones if one.zone.sunlit > SUNLIT]
-    response_X = np.concatenate([one.response[:, 0] for one in found.zones])
-    noise = [one.noise_nT for one in found.zones]
-    values: dict[str, Any] = {
-        "o": found,
-        "settings": settings.tree,
-        "p": settings.printed,
-        "refused": sum(bool(one.refusal) for one in found.zones),
-        "share": lambda way: round(way.unseen_whole_nT / static.unseen_whole_nT, 3),
-        "below": lambda way: sum(np.array(way.unseen_nT) < _REACH * np.array(static.unseen_nT)),
-        "tilted_deg": lambda way: _tilted_deg(found, way),
-        "noise": noise,
-        "noise_nT": float(np.median(noise)),
-        "off": [slip for slip in found.slips if abs(slip.stamps_late_s - slip.field_late_s) > _AGREE_S],
-        "starting_nT": max(one.starting_nT for one in found.zones),
-        "starting_rows": sum(one.zone.left_out.get("switching on", 0) for one in found.zones),
-        **{kind: [one.fits[kind].rms_nT for one in found.zones] for kind in KINDS},
-        **{f"sunlit_{kind}": [one.fits[kind].rms_nT for one in sunny] for kind in KINDS},
-        "response_X": 100.0 * abs(response_X),
-        "turn_XZ_deg": np.ptp(np.degrees(np.angle(response_X))),
-        "slips_ms": [1e3 * abs(slip.stamps_late_s) for slip in found.slips],
-        "slips_nT": max(slip.largest_nT for slip in found.slips),
-    }
-    values |= {"unseen": _unseen_rows(found, values)}
-    return values | {"independent": words().table("independent", **values).rows}
-
-
-def _unseen_rows(found: Numbers, values: dict[str, Any]) -> list[list[Cell]]:
+def unseen_rows(found: Numbers) -> list[list[Cell]]:
+    """Zone, light, its own static fit [nT], every model on the unseen zone [nT], and the local noise [nT]; and all zones."""
     rows: list[list[Cell]] = []
-    for place, one in enumerate(found.zones):
-        predicted = [round(way.unseen_nT[place]) for way in found.ways]
-        own = round(one.fits["static"].rms_nT)
-        rows.append([str(one.zone.number), one.light, own, *predicted, round(one.noise_nT, 1)])
-    own_nT, noise_nT = (rms(np.array(values[name])) for name in ("static", "noise"))
-    rows.append(["all", "", round(own_nT), *(round(way.unseen_whole_nT) for way in found.ways), round(noise_nT, 1)])
-    rows.append(["of static", "", None, *map(values["share"], found.ways), None])
+    for one, *unseen_nT in zip(found.zones, *(way.unseen_nT for way in found.ways), strict=True):
+        whole_nT = map(round, (one.fits["static"].rms_nT, *unseen_nT))
+        rows.append([str(one.zone.number), one.light, *whole_nT, round(one.noise_nT, 1)])
+    own_nT = rms(np.array([one.fits["static"].rms_nT for one in found.zones]))
+    noise_nT = rms(np.array([one.noise_nT for one in found.zones]))
+    whole_nT = map(round, (own_nT, *(way.unseen_whole_nT for way in found.ways)))
+    rows.append(["all", "", *whole_nT, round(noise_nT, 1)])
+    rows.append(["of static", "", None, *(way.of_static for way in found.ways), None])
     return rows
-
-
-def _tilted_deg(found: Numbers, way: Numbers) -> float:
-    """How far the sensor tilts from one moment of the zones to another, at most; its turn about the spin axis cannot be
-    distinguished from the spin phase."""
-    seconds = np.concatenate([one.zone.seconds[one.zone.used][::50] for one in found.zones])
-    states = np.stack([found.flight.day.lagged(seconds, *series) for series in way.lags_s], axis=1)
-    tilts = (states @ way.within.sensor.turn_rad)[:, :2]
-    return float(np.degrees(np.linalg.norm(tilts[:, None, :] - tilts[None, :, :], axis=2).max()))
-
-
-def lags_words(lags_s: Lags) -> str:
-    """ "200 + 200": in series; "200; 400": side by side."""
-    return "; ".join(" + ".join(f"{lag:g}" for lag in series) for series in lags_s)

@@ -7,7 +7,6 @@ and is projected out (Golub & Pereyra 1973, SIAM J. Numer. Anal. 10, 413).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from fluxtwin.scenarios.elfin.record import Zone
+from fluxtwin.scenarios.flights import Numbers
 from fluxtwin.scenarios.recorded_files import Settings
 from fluxtwin.sim.base.types import FloatArray
 
@@ -24,24 +24,6 @@ KINDS = ("static", "linear", "quadratic", "harmonic")
 """Twelve parameters; all twelve drifting linearly; and quadratically; and a third harmonic of the spin as well."""
 _SPINS = 4
 _FEWEST = 100
-
-
-@dataclass(frozen=True)
-class ZoneFit:
-    """One kind of fit to the used rows of one zone."""
-
-    rate_rad_s: float
-    """Spin rate at the middle."""
-    phase_rad: FloatArray
-    """(N,) spin phase at all rows of the zone."""
-    coefficients: FloatArray
-    """(K, 3), of which the first four rows are G's columns and o."""
-    residual_nT: FloatArray
-    """(N, 3) at all rows, those left out too."""
-    slope_nT: FloatArray
-    """(N, 3) derivative of the reading by the phase."""
-    rms_nT: float
-    """Length of the residual vector, rms over the used rows."""
 
 
 def spin_rate(zone: Zone, settings: Settings) -> float:
@@ -55,8 +37,8 @@ def spin_rate(zone: Zone, settings: Settings) -> float:
     return min(costs, key=lambda rate: costs[rate])
 
 
-def fit_zone(zone: Zone, kind: str, settings: Settings, rate_rad_s: float | None = None) -> ZoneFit:
-    """The fit; the phase is a polynomial of `phase_degree`."""
+def fit_zone(zone: Zone, kind: str, settings: Settings, rate_rad_s: float | None = None) -> Numbers:
+    """One kind of fit to the used rows of one zone; the phase is a polynomial of `phase_degree`."""
     rate = spin_rate(zone, settings) if rate_rad_s is None else rate_rad_s
     H, B, used, share = zone.field_S_nT, zone.reading_nT, zone.used, zone.share
     bends = np.vander(share, settings.phase_degree + 1, increasing=True)[:, 1:]
@@ -78,7 +60,18 @@ def fit_zone(zone: Zone, kind: str, settings: Settings, rate_rad_s: float | None
     C, residual = at(p)
     phase = rate * zone.late_s + bends @ p
     middle_rate = rate + float(p[0]) / float(zone.late_s[-1])
-    return ZoneFit(middle_rate, phase, C, residual, slope(p, C), rms(residual[used]))
+    return Numbers(
+        # Spin rate at the middle, and (N,) spin phase, at all rows of the zone.
+        rate_rad_s=middle_rate,
+        phase_rad=phase,
+        # (K, 3), of which the first four rows are G's columns and o.
+        coefficients=C,
+        # (N, 3) at all rows, those left out too, and the derivative of the reading by the phase.
+        residual_nT=residual,
+        slope_nT=slope(p, C),
+        # Length of the residual vector, rms over the used rows.
+        rms_nT=rms(residual[used]),
+    )
 
 
 def rms(residual_nT: FloatArray) -> float:
@@ -92,7 +85,7 @@ def turning(field_S_nT: FloatArray, phase_rad: FloatArray) -> ComplexArray:
     return turned
 
 
-def local_noise_nT(zone: Zone, fit: ZoneFit) -> float:
+def local_noise_nT(zone: Zone, fit: Numbers) -> float:
     """Median over stretches of four spins of the residual of a fit of their own, with harmonics up to the fifth.
 
     rms length of the residual vector, corrected for the parameters.
@@ -107,7 +100,7 @@ def local_noise_nT(zone: Zone, fit: ZoneFit) -> float:
     return float(np.median(found))
 
 
-def responses(zone: Zone, fit: ZoneFit, spins: int = 8) -> tuple[FloatArray, ComplexArray]:
+def responses(zone: Zone, fit: Numbers, spins: int = 8) -> tuple[FloatArray, ComplexArray]:
     """Seconds (M,) and each channel's complex response (M, 3) to the field across the axis, nT per nT, by stretches.
 
     Relative to channel Z's azimuth, which is put on +y: the zero of the spin phase is arbitrary.
@@ -121,7 +114,7 @@ def responses(zone: Zone, fit: ZoneFit, spins: int = 8) -> tuple[FloatArray, Com
     return np.array(middle), np.array(found)
 
 
-def _stretches(zone: Zone, fit: ZoneFit, spins: int) -> list[tuple[np.ndarray, ComplexArray, FloatArray]]:
+def _stretches(zone: Zone, fit: Numbers, spins: int) -> list[tuple[np.ndarray, ComplexArray, FloatArray]]:
     """Used rows of each stretch of so many spins that is nearly whole, the turning field, and six columns."""
     length_s = spins * 2.0 * np.pi / fit.rate_rad_s
     used, found = np.flatnonzero(zone.used), []

@@ -14,11 +14,8 @@ An attitude error does not change the magnitude, so a time offset found in the m
 
 from __future__ import annotations
 
-import csv
 import math
-from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -26,17 +23,11 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from fluxtwin.plots.field_residuals import ResidualTrack
-from fluxtwin.scenarios.flight_field.tracks import (
-    Track,
-    read_kp,
-    read_magsat,
-    read_ring_current,
-    read_swarm,
-)
-from fluxtwin.scenarios.flights import Numbers, rms
+from fluxtwin.scenarios.flight_field.tracks import Track, read_kp, read_magsat, read_ring_current, read_swarm
+from fluxtwin.scenarios.flights import Mission, Numbers, rms
 from fluxtwin.scenarios.page import StudyResult
 from fluxtwin.scenarios.recorded_files import Settings, run_on_files
-from fluxtwin.scenarios.words import Words
+from fluxtwin.scenarios.words import DIFFERS, NOT_TESTABLE, REPRODUCED, Words
 from fluxtwin.sim.base.progress import Progress, silent
 from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
 from fluxtwin.sim.earth import epoch, frames
@@ -50,31 +41,15 @@ RING_CURRENT, TIME_OFFSET, PITCH = "ring current [nT]", "time offset [s]", "pitc
 _STEP_S = 0.5
 SETTINGS = Path(__file__).parent / "flight_field.toml"
 """What the study runs with; a copy lies beside its results."""
-FIGURES = Path(__file__).parent / "data" / "figures.csv"
-"""The independent figures, in the form of data/README.md."""
+PRINTED = Mission("fluxtwin.scenarios.flight_field")
 _CHAOS = "chaos7 with external field"
 Key: TypeAlias = tuple[str, str, str, str, str]
 """(track, model, selection, quantity, component) of a figure."""
 
 
-@dataclass(frozen=True)
-class Residual:
-    """Measured minus model along a track of N samples."""
-
-    track: Track
-    model: str
-    """What was subtracted, in words."""
-    model_NEC_nT: FloatArray
-    """(N, 3) what was subtracted."""
-    NEC_nT: FloatArray
-    """(N, 3) measured minus model."""
-    F_nT: FloatArray
-    """(N,) difference of the magnitudes."""
-
-
 def against_model(
     track: Track, model: FieldModel, words: str, time: TimeArray | np.datetime64 | None = None
-) -> Residual:
+) -> Numbers:
     """Residual of the track to a field model, at the stamps' own epochs or at the one given.
 
     Raises OutOfRange for an epoch outside the model.
@@ -82,10 +57,17 @@ def against_model(
     return against_field(track, field_NEC_nT(model, track.time if time is None else time, track.r_E_km), words)
 
 
-def against_field(track: Track, model_NEC_nT: FloatArray, words: str) -> Residual:
-    """Residual of the track to a field (N, 3) in its own components."""
-    size = np.linalg.norm(track.b_NEC_nT, axis=1) - np.linalg.norm(model_NEC_nT, axis=1)
-    return Residual(track, words, model_NEC_nT, track.b_NEC_nT - model_NEC_nT, size)
+def against_field(track: Track, model_NEC_nT: FloatArray, words: str) -> Numbers:
+    """Residual of the track, N samples, to a field (N, 3) in its own components."""
+    return Numbers(
+        track=track,
+        # What was subtracted, in words, and (N, 3).
+        model=words,
+        model_NEC_nT=model_NEC_nT,
+        # (N, 3) measured minus model, and (N,) the difference of the magnitudes.
+        NEC_nT=track.b_NEC_nT - model_NEC_nT,
+        F_nT=np.linalg.norm(track.b_NEC_nT, axis=1) - np.linalg.norm(model_NEC_nT, axis=1),
+    )
 
 
 def low_latitude(track: Track, limit_deg: float) -> BoolArray:
@@ -94,7 +76,7 @@ def low_latitude(track: Track, limit_deg: float) -> BoolArray:
     return low
 
 
-def statistics(residual: Residual, rows: BoolArray) -> Mapping[tuple[str, str], float]:
+def statistics(residual: Numbers, rows: BoolArray) -> Mapping[tuple[str, str], float]:
     """rms and mean [nT] of N, E, C and F over the rows, by (quantity, component)."""
     parts = dict(zip(COMPONENTS, (*residual.NEC_nT[rows].T, residual.F_nT[rows]), strict=True))
     return {("rms", name): rms(part) for name, part in parts.items()} | {
@@ -102,21 +84,21 @@ def statistics(residual: Residual, rows: BoolArray) -> Mapping[tuple[str, str], 
     }
 
 
-def ring_current_NEC(model: FieldModel, residual: Residual, induced_share: float) -> FloatArray:
+def ring_current_NEC(model: FieldModel, residual: Numbers, induced_share: float) -> FloatArray:
     """(N, 3) field of a ring current of 1 nT at the dipole equator on the ground, induced part included."""
     track = residual.track
     external_E = unit_storm_E(dipole_axis_E(model, track.time[0]), track.r_E_km, induced_share)
     return np.asarray(frames.rotation_NEC_E(track.r_E_km).apply(external_E / (1.0 + induced_share)))
 
 
-def time_offset_NEC(model: FieldModel, residual: Residual) -> FloatArray:
+def time_offset_NEC(model: FieldModel, residual: Numbers) -> FloatArray:
     """(N, 3) change of the residual for each second by which the position runs ahead of the field [nT/s]."""
     track, velocity = residual.track, _velocity_E_km_s(residual)
     ahead, behind = (field_NEC_nT(model, track.time, track.r_E_km + s * velocity) for s in (_STEP_S, -_STEP_S))
     return -(ahead - behind) / (2.0 * _STEP_S)
 
 
-def pitch_NEC(residual: Residual) -> FloatArray:
+def pitch_NEC(residual: Numbers) -> FloatArray:
     """(N, 3) change of the measured vector for a turn of one degree about the orbit normal [nT/deg]."""
     r_E_km = residual.track.r_E_km
     normal_E = np.cross(r_E_km, _velocity_E_km_s(residual))
@@ -126,7 +108,7 @@ def pitch_NEC(residual: Residual) -> FloatArray:
 
 
 def fit(
-    residual: Residual,
+    residual: Numbers,
     chosen: tuple[str, BoolArray],
     columns: Mapping[str, FloatArray],
     causes: Sequence[str],
@@ -158,7 +140,7 @@ def fit(
     )
 
 
-def _velocity_E_km_s(residual: Residual) -> FloatArray:
+def _velocity_E_km_s(residual: Numbers) -> FloatArray:
     """(N, 3) Earth-fixed velocity from the positions."""
     track = residual.track
     velocity: FloatArray = np.gradient(track.r_E_km, epoch.seconds_since(track.time, track.time[0]), axis=0)
@@ -170,38 +152,19 @@ def run(out: Path, data: Path | None, progress: Progress = silent) -> StudyResul
     return run_on_files(SETTINGS, out, data, progress, compute, present)
 
 
-@dataclass(frozen=True)
-class Independent:
-    """One figure of the independent look, and ours."""
-
-    id: str
-    key: Key
-    value: float
-    unit: str
-    last_digit: float
-    printed: str
-    here: float | None = None
-    status: str = "not testable"
-    """`reproduced`, `differs` or `not testable`."""
-    why: str = ""
-    """Why it differs or cannot be tested; empty where it is reproduced."""
-
-    @property
-    def shown(self) -> float | None:
-        """Ours with one digit more than the printed figure."""
-        return None if self.here is None else round(self.here, 1 - math.floor(math.log10(self.last_digit)))
+def read_figures() -> list[Numbers]:
+    """The packaged independent figures, in the form of data/README.md, each with its key."""
+    return [
+        Numbers(
+            **{name: row[name] for name in ("id", "unit", "printed")},
+            **{name: float(row[name]) for name in ("value", "last_digit")},
+            key=tuple(row[name] for name in ("track", "model", "selection", "quantity", "component")),
+        )
+        for row in PRINTED.table("figures")
+    ]
 
 
-def read_figures() -> list[Independent]:
-    """The packaged figures."""
-    with FIGURES.open(encoding="utf-8", newline="") as lines:
-        return [
-            Independent(name, (track, model, rows, quantity, part), float(value), unit, float(digit), printed)
-            for name, track, model, rows, quantity, part, value, unit, digit, printed in list(csv.reader(lines))[1:]
-        ]
-
-
-def beside(figures: Sequence[Independent], here: Mapping[Key, float], why: Mapping[str, str]) -> list[Independent]:
+def beside(figures: Sequence[Numbers], here: Mapping[Key, float], why: Mapping[str, str]) -> list[Numbers]:
     """Ours beside each figure: reproduced within one unit of its last printed digit.
 
     here: what was computed, by key; a key that is missing makes the figure not testable. why: the explanation
@@ -209,13 +172,14 @@ def beside(figures: Sequence[Independent], here: Mapping[Key, float], why: Mappi
     """
     compared = []
     for figure in figures:
-        ours, status = here.get(figure.key), "not testable"
+        ours, status, shown = here.get(figure.key), NOT_TESTABLE, None
         if ours is not None:
             # a thousandth of a digit for the decimals that binary numbers cannot hold
-            agrees = abs(ours - figure.value) <= 1.001 * figure.last_digit
-            status = "reproduced" if agrees else "differs"
-        reason = "" if status == "reproduced" else why.get(figure.id, "no explanation found")
-        compared.append(replace(figure, here=ours, status=status, why=reason))
+            status = REPRODUCED if abs(ours - figure.value) <= 1.001 * figure.last_digit else DIFFERS
+            # with one digit more than the printed figure
+            shown = round(ours, 1 - math.floor(math.log10(figure.last_digit)))
+        reason = "" if status == REPRODUCED else why.get(figure.id, "no explanation found")
+        compared.append(figure.model_copy({"here": ours, "status": status, "why": reason, "shown": shown}))
     return compared
 
 
@@ -247,6 +211,8 @@ def compute(folder: Path, settings: Settings, progress: Progress) -> Numbers:
     one_pass = ("one pass", low_latitude(swarm, settings.low_latitude_deg))
     fits += [fit(storm[0], one_pass, {RING_CURRENT: ring}, [RING_CURRENT], on) for on in ("vector", "magnitude")]
     along = np.add(*rc.at(swarm.time))
+    row = int(np.argmin(np.abs(swarm.latitude_deg)))
+    of_day = (swarm.time[row] - swarm.time[row].astype("datetime64[D]")).astype("int64") / 3600e9
     return Numbers(
         # To IGRF-14 at one epoch, at each stamp, and with the causes fitted at low latitude.
         magsat=fixed,
@@ -259,6 +225,8 @@ def compute(folder: Path, settings: Settings, progress: Progress) -> Numbers:
         rc=rc,
         # Lowest and highest RC along the track of Swarm.
         rc_range_nT=(float(along.min()), float(along.max())),
+        # Local time of Swarm's sample nearest to the equator.
+        hours=float((of_day + swarm.longitude_deg[row] / 15.0) % 24.0),
         fits=tuple(fits),
     )
 
@@ -288,7 +256,7 @@ def found_figures(outcome: Numbers, settings: Settings) -> Mapping[Key, float]:
     }
 
 
-def _magsat_fits(residual: Residual, model: FieldModel, settings: Settings) -> tuple[list[Numbers], Residual]:
+def _magsat_fits(residual: Numbers, model: FieldModel, settings: Settings) -> tuple[list[Numbers], Numbers]:
     """The causes at low latitude, both passes and each, and the residual that remains along the whole track."""
     track = residual.track
     columns = {
@@ -311,7 +279,6 @@ def _magsat_fits(residual: Residual, model: FieldModel, settings: Settings) -> t
 
 def present(outcome: Numbers, settings: Settings) -> StudyResult:
     """What the study says of its outcome."""
-    figures = beside(read_figures(), found_figures(outcome, settings), explanations(outcome))
     tracks = (outcome.magsat.track, outcome.swarm[0].track)
     provenance = {
         **{track.name: track.source for track in tracks},
@@ -319,17 +286,23 @@ def present(outcome: Numbers, settings: Settings) -> StudyResult:
         "field models": f"IGRF-14; {settings.swarm.chaos_file} to degree {settings.swarm.crust_degree}",
         "settings": "flight_field.toml beside this page",
     }
-    values = _values(outcome, figures, settings)
-    return words().result("flight-field", provenance, **values)
+    return words().result(
+        "flight-field",
+        provenance,
+        o=outcome,
+        settings=settings.tree,
+        figures=beside(read_figures(), found_figures(outcome, settings), explanations(outcome)),
+    )
 
 
 @cache
 def words() -> Words:
     """The sections of `words.md`."""
     return Words(
-        "fluxtwin.scenarios.flight_field",
+        PRINTED.package,
         filters={"track": _track},
-        known=(low_latitude,),
+        known=(low_latitude, rms, selections, statistics),
+        parts=COMPONENTS,
         ring=RING_CURRENT,
         time=TIME_OFFSET,
         pitch=PITCH,
@@ -342,48 +315,24 @@ def explanations(outcome: Numbers) -> dict[str, str]:
     return {"swarm-rc": words().say("why_swarm_rc", o=outcome, later=later)}
 
 
-def _values(outcome: Numbers, figures: Sequence[Independent], settings: Settings) -> dict[str, Any]:
-    """What the words and tables of the page take; hours: local time of Swarm's sample nearest to the equator."""
-    count = Counter({"reproduced": 0} | Counter(figure.status for figure in figures))
-    high = ~low_latitude(outcome.magsat.track, settings.low_latitude_deg)
-    swarm = outcome.swarm[0].track
-    low = low_latitude(swarm, settings.low_latitude_deg)
-    row = int(np.argmin(np.abs(swarm.latitude_deg)))
-    of_day = (swarm.time[row] - swarm.time[row].astype("datetime64[D]")).astype("int64") / 3600e9
-    return {
-        "o": outcome,
-        "settings": settings.tree,
-        "limit": settings.low_latitude_deg,
-        "figures": figures,
-        "names": {"share": "share of the mean explained", "kp": "Kp", "rc": "RC"},
-        "count": count,
-        "others": ", ".join(f"{count[status]} {status}" for status in ("differs", "not testable") if count[status]),
-        "beyond": tuple(rms(r.NEC_nT[high]) for r in (outcome.magsat, outcome.magsat_explained)),
-        **dict(zip(("alone", "with_time", "with_pitch", "whole", "scalar"), outcome.fits, strict=False)),
-        "mean": [statistics(residual, low)["mean", "N"] for residual in outcome.swarm],
-        "storm": outcome.fits[-2],
-        "hours": float((of_day + swarm.longitude_deg[row] / 15.0) % 24.0),
-        "pairs": [(quantity, part) for quantity in ("rms", "mean") for part in COMPONENTS],
-        "selections": [
-            {"track": r.track.name, "model": r.model, "selection": words, "samples": int(rows.sum())}
-            | {f"{quantity}_{part}_nT": value for (quantity, part), value in statistics(r, rows).items()}
-            for r, words, rows in _selections(outcome, settings)
-        ],
-    }
-
-
-def _selections(outcome: Numbers, settings: Settings) -> Iterator[tuple[Residual, str, BoolArray]]:
-    words = f"|latitude| < {settings.low_latitude_deg:g} deg"
+def selections(outcome: Numbers, limit_deg: float) -> list[dict[str, Any]]:
+    """What `statistics` says of every residual and choice of rows."""
+    words = f"|latitude| < {limit_deg:g} deg"
+    found: list[dict[str, Any]] = []
     for residual in (outcome.magsat, outcome.magsat_at_stamps, outcome.magsat_explained, *outcome.swarm):
-        low, good = low_latitude(residual.track, settings.low_latitude_deg), residual.track.attitude_good
-        yield residual, "all", np.ones_like(low)
-        yield residual, words, low
+        low, good = low_latitude(residual.track, limit_deg), residual.track.attitude_good
+        chosen = {"all": np.ones_like(low), words: low}
         if residual is outcome.magsat:
-            yield residual, "attitude flag 0", good
-            yield residual, f"attitude flag 0, {words}", good & low
+            chosen |= {"attitude flag 0": good, f"attitude flag 0, {words}": good & low}
+        found += [
+            {"track": residual.track.name, "model": residual.model, "selection": name, "samples": int(rows.sum())}
+            | {f"{quantity}_{part}_nT": value for (quantity, part), value in statistics(residual, rows).items()}
+            for name, rows in chosen.items()
+        ]
+    return found
 
 
-def _track(residual: Residual, rows: BoolArray | slice = slice(None)) -> ResidualTrack:
+def _track(residual: Numbers, rows: BoolArray | slice = slice(None)) -> ResidualTrack:
     """The record that the figures take; of the chosen rows only, where some are chosen."""
     track = residual.track
     place = (track.time[rows], track.latitude_deg[rows], track.longitude_deg[rows])

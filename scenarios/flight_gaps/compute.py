@@ -19,7 +19,7 @@ from fluxtwin.gap.records.diagnosis import Diagnosis
 from fluxtwin.scenarios.flight_field.tracks import read_kp, read_magsat, read_swarm
 from fluxtwin.scenarios.flight_gaps import records
 from fluxtwin.scenarios.flight_gaps.records import Compensation, field_model
-from fluxtwin.scenarios.flights import Numbers, latitude_deg, rms
+from fluxtwin.scenarios.flights import Numbers, latitude_deg, rms, rms_along
 from fluxtwin.scenarios.recorded_files import Settings
 from fluxtwin.sim.base.progress import Progress, part_of
 from fluxtwin.sim.base.toml_input import Strict, read_model
@@ -36,6 +36,7 @@ BANDS_DEG = (0.0, 30.0, 50.0, 60.0, 75.0, 90.0)
 STORM_NT = 50.0
 """The ring current whose visibility is counted."""
 _MISSING_NT = 1e5
+_POLAR_DEG = 65.0
 _ORBIT_S = 5640
 _RCOND = 1e-12
 
@@ -127,49 +128,6 @@ def magsat_record(folder: Path, settings: Settings, axes: str = "orbit") -> Tele
     return records.of_track(track, axes).select(slice(None, None, settings.magsat.every))
 
 
-@dataclass(frozen=True)
-class Share:
-    """What remains of a residual once effects are fitted in addition to what is modelled."""
-
-    effects: tuple[str, ...]
-    """Fitted together."""
-    parameters: int
-    left_nT: float
-    """rms per component."""
-    sizes: tuple[float, ...]
-    """The fitted value of each effect with one parameter, else its largest, in units of that parameter."""
-
-    def in_words(self, digits: int = 3) -> str:
-        """The values with their units."""
-        units = [find_effect(name).parameters[0].unit for name, _ in zip(self.effects, self.sizes, strict=False)]
-        values = (f"{size:.{digits}g}" for size in self.sizes)
-        return ", ".join(v if u == "1" else f"{v} {u}" for v, u in zip(values, units, strict=True))
-
-
-@dataclass(frozen=True)
-class Shares:
-    """The table of one record."""
-
-    raw_nT: float
-    """rms per component with nothing fitted."""
-    modelled: tuple[str, ...]
-    base_nT: float
-    """rms per component with what is modelled fitted."""
-    shares: tuple[Share, ...]
-
-    def share(self, *effects: str) -> Share:
-        """Of those effects, fitted together."""
-        return next(share for share in self.shares if share.effects == effects)
-
-    def left_nT(self, *effects: str) -> float:
-        """What remains with those effects fitted as well."""
-        return self.share(*effects).left_nT
-
-    def size(self, *effects: str) -> float:
-        """The first fitted value of those effects."""
-        return self.share(*effects).sizes[0]
-
-
 class LeastSquares:
     """A record's residual to a field model, and the columns of what is modelled. Raises as `pose` does."""
 
@@ -224,53 +182,41 @@ class Answer:
         """(N,) rows that were cut as spikes."""
         return np.asarray(np.isnan(self.left_nT).any(axis=1))
 
+    @property
+    def polar_steps_nT(self) -> FloatArray | None:
+        """(3,) rms change of the residual from row to row beyond 65 deg of latitude; None where nothing is known there."""
+        change = np.diff(self.left_nT, axis=0)[np.abs(self.latitude_deg[1:]) > _POLAR_DEG]
+        return rms_along(change, axis=0) if np.isfinite(change).any() else None
 
-@dataclass(frozen=True)
-class Outcome:
-    """All that the study found."""
-
-    answers: tuple[Answer, ...]
-    storm: Shares
-    """Swarm A in the storm, nothing modelled."""
-    storm_visible: tuple[Numbers, ...]
-    """How much of a ring current of 50 nT some data show."""
-    magsat: Mapping[str, Shares]
-    """MAGSAT by model and axes, b and S free."""
-    magsat_left: Numbers
-    """What IGRF-14 with b and S free leaves along MAGSAT's orbit."""
-    kp: FloatArray
-    """Eight values of the day of MAGSAT."""
-    coefficients: Numbers
-    """Of the aircraft, from the published values."""
-
-    def answer(self, name: str) -> Answer:
-        """The answer to the case of that name."""
-        return next(one for one in self.answers if one.case.name == name)
-
-    def part(self, name: str) -> list[Answer]:
-        """The answers to the cases of that part."""
-        return [one for one in self.answers if one.case.part == name]
+    @property
+    def stage_share(self) -> float:
+        """Probability of the stage that is named; 0 where none is."""
+        return self.found.where.probabilities["stage"].get(self.found.where.stage or "", 0.0)
 
 
-def compute(folder: Path, settings: Settings, progress: Progress) -> Outcome:
+def compute(folder: Path, settings: Settings, progress: Progress) -> Numbers:
     """Diagnose every case. Raises BadInput for a file that cannot be used."""
     progress("reading the recorded files", 0.0)
     storm, visible = _storm_tables(folder, settings)
     magsat = _magsat_tables(folder, settings)
     orbit = magsat_record(folder, settings)
     asked = read_cases()
-    answers = []
+    answers = {}
     for number, case in enumerate(asked):
         share = part_of(progress, 0.1 + 0.9 * number / len(asked), 0.1 + 0.9 * (number + 1) / len(asked))
-        answers.append(_answer(case, folder, settings, share))
+        answers[case.name] = _answer(case, folder, settings, share)
     given = records.read_compensation(folder / settings.aircraft.file)
-    return Outcome(
-        answers=tuple(answers),
+    return Numbers(
+        answers=answers,
+        # Swarm A in the storm, nothing modelled; and how much of a ring current of 50 nT some data show.
         storm=storm,
         storm_visible=visible,
+        # MAGSAT by model and axes, b and S free; and what IGRF-14 then leaves along the orbit.
         magsat=magsat,
         magsat_left=_left(orbit, field_model("igrf14")),
+        # Eight values of the day of MAGSAT.
         kp=read_kp(folder / settings.magsat.kp_file, orbit.time[0]),
+        # Of the aircraft, from the published values.
         coefficients=coefficients(given, settings.aircraft.rate_Hz),
     )
 
@@ -290,7 +236,7 @@ def _effects(*names: str) -> tuple[SignalEffect, ...]:
     return tuple(effect for effect in map(find_effect, names) if isinstance(effect, SignalEffect))
 
 
-def _storm_tables(folder: Path, settings: Settings) -> tuple[Shares, tuple[Numbers, ...]]:
+def _storm_tables(folder: Path, settings: Settings) -> tuple[Numbers, tuple[Numbers, ...]]:
     arc, model = storm_record(folder, settings), field_model("igrf14")
     names = ("ring_current", "bias", "scale_misalignment", "along_track_error", "time_tag_offset", "field_epoch")
     table = alone(arc, model, (), [_effects(name) for name in names])
@@ -311,7 +257,7 @@ def _storm_tables(folder: Path, settings: Settings) -> tuple[Shares, tuple[Numbe
     return table, tuple(visible)
 
 
-def _magsat_tables(folder: Path, settings: Settings) -> Mapping[str, Shares]:
+def _magsat_tables(folder: Path, settings: Settings) -> Mapping[str, Numbers]:
     epoch, track, tag, ring = map(_effects, ("field_epoch", "along_track_error", "time_tag_offset", "ring_current"))
     cut = (FieldTruncation(8, "richer"),)
     asked = {
@@ -346,15 +292,26 @@ def _left(telemetry: Telemetry, model: FieldModel) -> Numbers:
 
 def alone(
     telemetry: Telemetry, model: FieldModel, modelled: Sequence[str], wanted: Sequence[tuple[SignalEffect, ...]]
-) -> Shares:
+) -> Numbers:
     """Least squares of each set of effects and what is modelled, all components alike. Raises as `pose` does."""
-    problem, shares = LeastSquares(telemetry, model, modelled), []
+    problem, shares = LeastSquares(telemetry, model, modelled), {}
     for effects in wanted:
         remaining_nT, values = problem.remaining_nT(*effects)
-        sizes = tuple(float(part[np.argmax(np.abs(part))]) for part in values)
-        names, count = tuple(one.name for one in effects), sum(part.size for part in values)
-        shares.append(Share(names, count, rms(remaining_nT), sizes))
-    return Shares(rms(problem.residual_nT), tuple(modelled), rms(problem.remaining_nT()[0]), tuple(shares))
+        names = tuple(one.name for one in effects)
+        shares[" + ".join(names)] = Numbers(
+            effects=names,
+            parameters=sum(part.size for part in values),
+            left_nT=rms(remaining_nT),
+            # The fitted value of each effect with one parameter, else its largest, in units of that parameter.
+            sizes=tuple(float(part[np.argmax(np.abs(part))]) for part in values),
+        )
+    return Numbers(
+        # rms per component [nT] with nothing fitted; with what is modelled; and with each set of effects as well, by name.
+        raw_nT=rms(problem.residual_nT),
+        modelled=tuple(modelled),
+        base_nT=rms(problem.remaining_nT()[0]),
+        shares=shares,
+    )
 
 
 def visible_nT(
@@ -366,11 +323,11 @@ def visible_nT(
     return rms(image), rms(image - _fit(problem.nuisance, image)[0])
 
 
-def _fit(design: FloatArray, residual: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _fit(design: FloatArray, residual: FloatArray, rcond: float = _RCOND) -> tuple[FloatArray, FloatArray]:
     """What columns (M, P) of any units explain of the residual (M,), and their coefficients."""
     length = np.linalg.norm(design, axis=0)
     length = np.where(length > 0, length, 1.0)
-    found = np.linalg.lstsq(design / length, residual, rcond=_RCOND)[0]
+    found = np.linalg.lstsq(design / length, residual, rcond=rcond)[0]
     return np.asarray(design / length @ found), np.asarray(found / length)
 
 
@@ -387,8 +344,7 @@ def coefficients(given: Compensation, rate_Hz: float) -> Numbers:
     induced = u[:, rows] * flux[:, columns]
     eddy = np.einsum("ni,nj->nij", u, np.gradient(flux, 1.0 / rate_Hz, axis=0)).reshape(-1, 9)
     design = np.concatenate([u, induced, eddy], axis=1)
-    length = np.linalg.norm(design, axis=0)
-    found = np.linalg.lstsq(design / length, given.taken_nT, rcond=1e-13)[0] / length
+    _, found = _fit(design, given.taken_nT, 1e-13)
     S = np.zeros((3, 3))
     S[rows, columns] = 0.5 * found[3:9]
     K = found[9:].reshape(3, 3)

@@ -8,22 +8,8 @@ from typing import Any
 import numpy as np
 
 from fluxtwin.calib.linear.calibrate import LinearFit
-from fluxtwin.scenarios.flights import (
-    Estimates,
-    Numbers,
-    bias_alone,
-    budget,
-    error_square_mG2,
-    latitude_deg,
-    papers_regression,
-    prescribed,
-    rms,
-    rms_along,
-    rms_mG,
-    truth_vector,
-    vector,
-    vector_sigma,
-)
+from fluxtwin.scenarios import regression
+from fluxtwin.scenarios.flights import Numbers, latitude_deg, prescribed, rms, rms_along
 from fluxtwin.scenarios.hcmm import mission
 from fluxtwin.scenarios.hcmm.mission import DAYS, SAMPLES, Flight
 from fluxtwin.sim.base.progress import Progress
@@ -65,24 +51,24 @@ def run_calibrations(flight: Flight, ground: FieldModel, progress: Progress, run
         found = [_with_sigmas(other, choose_rows(other, name), ground) for name in SETS]
         estimates.append([one for one, _ in found])
         sigmas.append([one for _, one in found])
-    truth, stated = truth_vector(days), np.array(sigmas)
+    truth, stated = regression.truth_vector(days), np.array(sigmas)
     alone = mission.fly(mission.only(days, "field"), flight.world)
     labels = pass_labels(flight)
     return Numbers(
         # The papers' regression by set, sigmas by pass with an allowance for the field model.
         fits={name: fit_rows(flight, rows[name], ground) for name in SETS},
         # (12,) of the same fits, had every sample an error of its own; with blocks by pass, the field model taken as right.
-        white_sigma={name: vector_sigma(fit_rows(flight, rows[name], ground, "white")) for name in SETS},
-        pass_sigma={name: vector_sigma(fit_rows(flight, rows[name], ground, "pass")) for name in SETS},
+        white_sigma={name: regression.vector_sigma(fit_rows(flight, rows[name], ground, "white")) for name in SETS},
+        pass_sigma={name: regression.vector_sigma(fit_rows(flight, rows[name], ground, "pass")) for name in SETS},
         passes={name: len(np.unique(labels[rows[name]])) for name in SETS},
         # In `runs` flights, each with its own seed and orbital phase, so other passes, in the prescribed motion; and the
         # sigmas (R, sets, 12) stated there, of each of KINDS.
-        many=Estimates(SETS, np.array(estimates), truth),
+        many=regression.Estimates(SETS, np.array(estimates), truth),
         sigmas={kind: stated[:, :, place] for place, kind in enumerate(KINDS)},
         bias_only=_bias_only(flight, ground, truth[:9].reshape(3, 3)),
         truth=truth,
         # (12,) shift of the fit to both sets that the error of the ground's field model alone causes.
-        field_shift=vector(fit_rows(alone, choose_rows(alone, "AB"), ground, "white")) - truth,
+        field_shift=regression.vector(fit_rows(alone, choose_rows(alone, "AB"), ground, "white")) - truth,
     )
 
 
@@ -127,7 +113,7 @@ def pass_labels(flight: Flight) -> np.ndarray:
 
 def fit_rows(flight: Flight, rows: np.ndarray, ground: FieldModel, kind: str = "pass and field") -> LinearFit:
     """The papers' regression with a covariance `white`, by `pass`, or either `and field`."""
-    return papers_regression(
+    return regression.papers_regression(
         flight.telemetry.select(rows),
         ground,
         covariance="white" if kind.startswith("white") else "blocks",
@@ -139,9 +125,9 @@ def fit_rows(flight: Flight, rows: np.ndarray, ground: FieldModel, kind: str = "
 def _with_sigmas(flight: Flight, rows: np.ndarray, ground: FieldModel) -> tuple[FloatArray, list[FloatArray]]:
     """Estimate, and stated sigmas of each of KINDS."""
     fits = [fit_rows(flight, rows, ground, kind) for kind in ("white", "pass", "white and field")]
-    white, by_pass, with_field = map(vector_sigma, fits)
+    white, by_pass, with_field = map(regression.vector_sigma, fits)
     # The allowance for the field model adds the same variance to any covariance: the dear one, by pass, is worked out once.
-    return vector(fits[0]), [white, by_pass, np.sqrt(by_pass**2 + with_field**2 - white**2)]
+    return regression.vector(fits[0]), [white, by_pass, np.sqrt(by_pass**2 + with_field**2 - white**2)]
 
 
 def _bias_only(flight: Flight, ground: FieldModel, S: FloatArray) -> Numbers:
@@ -151,7 +137,7 @@ def _bias_only(flight: Flight, ground: FieldModel, S: FloatArray) -> Numbers:
         rows = np.flatnonzero(usable & (labels == label))
         if rows.size >= _FEWEST_IN_PASS:
             record = flight.telemetry.select(rows)
-            found.append(bias_alone(record, ground).b_nT / NT_PER_MG)
+            found.append(regression.bias_alone(record, ground).b_nT / NT_PER_MG)
             means.append(record.mag_B_nT.mean(axis=0) / NT_PER_MG)
     b, mean = np.array(found), np.array(means)
     explained, by_scale = (1.0 - (b[:, 0] - part).var() / b[:, 0].var() for part in (mean @ S[0], mean[:, 0] * S[0, 0]))
@@ -181,8 +167,8 @@ def run_errors(config: Scenario, ground: FieldModel, progress: Progress, runs: i
         for case, sources in cases.items():
             flight = mission.fly(mission.only(moved, *sources), worlds["field" in sources])
             rows = choose_rows(flight, "AB")
-            squares[case].append(error_square_mG2(flight, flight.telemetry.select(rows), ground))
-        fits.append(rms_mG(fit_rows(flight, rows, ground, "white")))
+            squares[case].append(regression.error_square_mG2(flight, flight.telemetry.select(rows), ground))
+        fits.append(regression.rms_mG(fit_rows(flight, rows, ground, "white")))
         assert flight.telemetry.q_NB is not None
         R_NO = flight.world.R_ON.inv()[rows]
         reported = frames.yaw_roll_pitch(frames.rotation_from_q(np.array(flight.telemetry.q_NB)[rows]) * R_NO)
@@ -194,7 +180,7 @@ def run_errors(config: Scenario, ground: FieldModel, progress: Progress, runs: i
     return Numbers(
         flights=runs,
         # [mG, rms per component over the 443 samples] Error of equation 1 at the true S, b, T = 0, with that source alone.
-        **budget(squares),
+        **regression.budget(squares),
         paper_rule=paper_rule(config),
         # Residual of the 12-parameter fit with all sources.
         fit=rms(np.array(fits)),

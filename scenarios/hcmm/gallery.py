@@ -8,8 +8,6 @@ and tell whether what was found holds. The field model of the diagnosis is what 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -34,51 +32,18 @@ from fluxtwin.sim.spacecraft.torquers import coupling_nT_per_Am2
 from fluxtwin.sim.telemetry.record import Telemetry
 
 GROUND = "igrf14"
-REGION_DEG = (15.0, 60.0, -95.0, -55.0)
-"""Where the four printed night passes with large residuals ran."""
-FIELD_NT = (-300.0, 200.0, 300.0)
-"""4 mG along the field there: the size that the largest printed residuals would need."""
+FAULTS = {key: Numbers(key=key, **fault) for key, fault in mission.CASES["fault"].items()}
+"""What is wrong in each case, its name in the catalogue, and what the ground models."""
+REGION_DEG, FIELD_NT = (FAULTS["b"].changes["effects.switched_field"][name] for name in ("region_deg", "f_nT"))
 _LATER_MIN = 2880.0
 _APART_S = 300.0
-_BOTH = ("bias", "scale_misalignment")
-
-
-@dataclass(frozen=True)
-class Case:
-    """One thing wrong."""
-
-    key: str
-    title: str
-    cause: str
-    """The name of the catalogue that it has."""
-    changes: Mapping[str, Any]
-    """Against the scenario with head 1 mounted right."""
-    modelled: tuple[str, ...] = _BOTH
-
-
-def cases(config: Scenario) -> tuple[Case, ...]:
-    """The four, with the scenario's own misalignment of head 1."""
-    turn = list(config.sun_sensor["1"].misalignment_deg)
-    field = {"condition": "night", "region_deg": list(REGION_DEG), "f_nT": list(FIELD_NT)}
-    uncompensated = {"torquers.compensation": 0.0, "torquers.telemetered": True}
-    return (
-        Case("a", "Head 1 is turned", "sun_sensor_head_misalignment", {"sun_sensor.1.misalignment_deg": turn}),
-        Case(
-            "b",
-            "A field at night over the eastern United States",
-            "switched_field",
-            {"effects.switched_field": field},
-        ),
-        Case("c", "Torquer compensation is off", "torquer_coupling", uncompensated),
-        Case("d", "Only b is modelled", "scale_misalignment", {}, ("bias",)),
-    )
 
 
 def run_gallery(
     config: Scenario,
     progress: Progress = silent,
     *,
-    only: Sequence[str] = ("a", "b", "c", "d"),
+    only: Sequence[str] = tuple(FAULTS),
     by_law: bool = False,
 ) -> tuple[Numbers, ...]:
     """Fly and diagnose the cases of `only`, in the prescribed motion; by_law: as the scenario moves, coils by its law."""
@@ -96,11 +61,11 @@ def run_gallery(
     ]
     plain = config.updated({"sun_sensor.1.misalignment_deg": None, "schedule.segments": segments})
     world, ground = build_world(plain), load_field(GROUND)
-    chosen = [case for case in cases(config) if case.key in only]
+    chosen = [FAULTS[key] for key in only]
     answers = []
     for number, case in enumerate(chosen):
         part = part_of(progress, number / len(chosen), (number + 1) / len(chosen))
-        telemetry = mission.fly(plain.updated(dict(case.changes)), world).telemetry
+        telemetry = mission.fly(plain.updated(case.changes), world).telemetry
         used, later = telemetry.select(telemetry.time < end), telemetry.select(telemetry.time >= end)
         answers.append(_answer(config, case, used, later, ground, part))
     return tuple(answers)
@@ -121,7 +86,7 @@ def diagnosed(
 
 
 def _answer(
-    config: Scenario, case: Case, used: Telemetry, later: Telemetry, ground: FieldModel, progress: Progress
+    config: Scenario, case: Numbers, used: Telemetry, later: Telemetry, ground: FieldModel, progress: Progress
 ) -> Numbers:
     def titled(words: str, share: float) -> None:
         progress(f"gallery, {case.key}: {words}", share)
@@ -134,10 +99,9 @@ def _answer(
     return Numbers(
         case=case,
         diagnosis=found,
-        # The first cause named; whether the cause that flew is named, and nothing else; where the diagnosis says it lies.
+        # The first cause named; and whether the cause that flew is named, and nothing else.
         name=names[0] if names else None,
         right=found.verdict == "effect" and names == [case.cause],
-        located=_located(found),
         compared=_compared(config, case, found),
         later=_later(found, alone, later, ground, config) if names else None,
         telemetry=used,
@@ -206,32 +170,12 @@ def _by_pass(
     )
 
 
-def _located(found: Diagnosis) -> str:
-    if not found.effects:
-        return "nowhere"
-    first, axes = found.effects[0], found.gap.per_axis
-    if first.name == "sun_sensor_head_misalignment":
-        return f"head {first.settings['head']}"
-    if first.name == "switched_field" and "region_deg" in first.settings:
-        from fluxtwin.sim.effects.switched_field import SwitchedField
-
-        where = SwitchedField(first.settings["condition"], region_deg=tuple(first.settings["region_deg"]))
-        return f"{where.condition}, {where.region_words}"
-    if first.condition == "torquer":
-        values = {name: parameter.value for name, parameter in first.parameters.items()}
-        columns = {a: float(np.sqrt(sum(values[f"C_{b}{a}"] ** 2 for b in "xyz"))) for a in "xyz"}
-        return "torquers: " + ", ".join(f"{a} {size:.0f} nT/(A m2)" for a, size in columns.items())
-    energy = {a: axes[a]["before_nT"] ** 2 - axes[a]["after_nT"] ** 2 for a in "xyz"}
-    share = {a: 100.0 * value / max(sum(energy.values()), 1e-12) for a, value in energy.items()}
-    return "axis " + ", ".join(f"{a} {value:.0f} %" for a, value in sorted(share.items(), key=lambda item: -item[1]))
-
-
-def _compared(config: Scenario, case: Case, found: Diagnosis) -> tuple[Numbers, ...]:
+def _compared(config: Scenario, case: Numbers, found: Diagnosis) -> tuple[Numbers, ...]:
     """What was put in beside what was found, for the cause that flew; nothing if another was named."""
     if not found.effects:
         return ()
     if case.key == "a":
-        return _compared_turn(config, found)
+        return _compared_turn(case.changes["sun_sensor.1.misalignment_deg"], found)
     put_in = _put_in(config, case.key)
     return tuple(
         Numbers(name=name, put_in=put_in[name], found=one.value, sigma=one.sigma, unit=one.unit)
@@ -251,13 +195,13 @@ def _put_in(config: Scenario, key: str) -> dict[str, float]:
     return {f"{prefix}_{a}{b}": float(matrix[i, j]) for i, a in enumerate("xyz") for j, b in enumerate("xyz")}
 
 
-def _compared_turn(config: Scenario, found: Diagnosis) -> tuple[Numbers, ...]:
+def _compared_turn(turn_deg: Sequence[float], found: Diagnosis) -> tuple[Numbers, ...]:
     """The turn along what the angle sees: a head turned by theta reports the sun turned by minus theta."""
     named = found.provenance["sun_nadir"]["named"]
     if named is None or named["head"] is None:
         return ()
     vector = np.array([named["parameters"][f"turn_{a}"]["value"] for a in "xyz"])
     size = float(np.linalg.norm(vector))
-    put_in = -float(np.array(config.sun_sensor["1"].misalignment_deg) @ vector) / size
+    put_in = -float(np.array(turn_deg) @ vector) / size
     words, sigma = "turn of the measured sun, as far as seen", named["amount_deg"]["sigma"]
     return (Numbers(name=words, put_in=put_in, found=size, sigma=sigma, unit="deg"),)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Mapping
+from typing import Any
 
 from fluxtwin.scenarios.flights import Flight, Mission, day, fly
 from fluxtwin.sim.scenario.scenario import Scenario
@@ -25,6 +27,8 @@ PRINTED = Mission(
 scenario, scenario_text, only = PRINTED.scenario, PRINTED.scenario_text, PRINTED.only
 read_table, printed_value, quantity = PRINTED.table, PRINTED.value, PRINTED.quantity
 SOURCES = tuple(PRINTED.off)
+CASES: Mapping[str, Mapping[str, Any]] = tomllib.loads(PRINTED.text("cases.toml"))
+"""What is flown with something added: `scans`, `earth`, `hypothesis`, `fault`, each by name."""
 
 DAYS: Mapping[str, tuple[int, ...]] = {"A": (284, 285, 287, 289), "B": (279, 290, 292, 298, 300, 302)}
 """Days of 1978 in each set of Table 3. The scan shows 285 before 284, so one digit of it may be wrong."""

@@ -13,15 +13,15 @@ same errors with the season reversed, and moved along the orbit.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from fluxtwin.calib.attitude.horizon_scanner import ScannerCalibration, calibrate_scanner
 from fluxtwin.gap.channels.sun_nadir import open_channel
-from fluxtwin.scenarios.flights import Numbers, papers_regression
+from fluxtwin.scenarios.flights import Numbers
 from fluxtwin.scenarios.hcmm import mission
 from fluxtwin.scenarios.hcmm.calibration import choose_rows, fit_rows, pass_labels
 from fluxtwin.scenarios.hcmm.mission import Flight
@@ -29,6 +29,7 @@ from fluxtwin.scenarios.hcmm.passes import column_of, rms_of, rows_of_passes, su
 from fluxtwin.scenarios.hcmm.strength import rank_correlation
 from fluxtwin.scenarios.hcmm_orbit.geometry import PassWindows
 from fluxtwin.scenarios.hcmm_orbit.record import Pass, read_passes
+from fluxtwin.scenarios.regression import papers_regression
 from fluxtwin.sim.base.progress import Progress
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import frames, horizon
@@ -41,40 +42,12 @@ BIAS_DEG = (0.40, -0.30)
 """Roll and pitch bias put into the scanner; assumed, of the size of its requirement."""
 TRUSTED_HEADS = (2, 3)
 """Heads that define the attitude reference (C, text)."""
-SCANS: Mapping[str, tuple[int, ...]] = {
-    "two scanners": (1, -1),
-    "one, away from the sun": (1,),
-    "one, towards the sun": (-1,),
-}
-"""Sign of body y of each scan axis; HCMM's orbit has the sun on the side of -y."""
+SCANS, EARTHS = mission.CASES["scans"], mission.CASES["earth"]
+"""By name, the sign of body y of each scan axis; and the Earth that is seen, and what it is taken for."""
+CORRECTED, WORST = "infrared, flattening corrected", "infrared, taken for a sphere"
+"""Two of EARTHS."""
 SHIFTS_DEG = np.arange(0.0, 360.0, 30.0)
 _HALF_A_YEAR = np.timedelta64(183, "D")
-
-
-@dataclass(frozen=True)
-class Earth:
-    """What the scanner sees, and what it is taken for."""
-
-    words: str
-    seen: str
-    assumed: str
-    radiance: float = 1.0
-    reversed_season: bool = False
-
-
-FLAT = Earth("ellipsoid, taken for a sphere", "ellipsoid", "sphere")
-CORRECTED = Earth("infrared, flattening corrected", "infrared", "ellipsoid")
-WORST = Earth("infrared, taken for a sphere", "infrared", "sphere")
-EARTHS = (
-    FLAT,
-    Earth("infrared, flattening corrected, half as strong", "infrared", "ellipsoid", 0.5),
-    CORRECTED,
-    Earth("infrared, flattening corrected, twice as strong", "infrared", "ellipsoid", 2.0),
-    WORST,
-    Earth("null: that with the season reversed", "infrared", "sphere", 1.0, True),
-)
-"""An ellipsoid that is corrected leaves no error at all (a test shows it), so it is the scanner of the study."""
-PUBLISHED = (FLAT.words, CORRECTED.words, WORST.words)
 
 
 def run_scanner(days: Flight, last: Flight, ground: FieldModel, progress: Progress) -> Numbers:
@@ -150,22 +123,24 @@ def run_horizon(days: Flight, flight: Flight, ground: FieldModel, windows: PassW
         calibration = fit_rows(repaired, rows, ground, "white").calibration
         return _seen(rows_of_passes(found.apply(other.telemetry), calibration, ground, windows))
 
-    def seen_by(scans: str, earth: Earth, shift_deg: float = 0.0) -> Numbers:
+    def seen_by(scans: str, earth: str, shift_deg: float = 0.0) -> Numbers:
         progress(f"scanner: {scans}", list(SCANS).index(scans) / len(SCANS))
-        return left_by(*(with_horizon(one, SCANS[scans], earth, shift_deg) for one in (days, flight)))
+        return left_by(
+            *(with_horizon(one, SCANS[scans], **EARTHS[earth], shift_deg=shift_deg) for one in (days, flight))
+        )
 
-    cases = {(scans, earth.words): seen_by(scans, earth) for scans in SCANS for earth in EARTHS}
+    cases = {(scans, earth): seen_by(scans, earth) for scans in SCANS for earth in EARTHS}
     shifted = {
-        scans: (cases[scans, WORST.words], *(seen_by(scans, WORST, float(shift)) for shift in SHIFTS_DEG[1:]))
+        scans: (cases[scans, WORST], *(seen_by(scans, WORST, float(shift)) for shift in SHIFTS_DEG[1:]))
         for scans in SCANS
     }
     printed = _seen(read_passes())
-    worst = {scans: cases[scans, WORST.words] for scans in SCANS}
+    worst = {scans: cases[scans, WORST] for scans in SCANS}
     return Numbers(
         # The papers' own rows, and the scanner of the study, whose horizon is without error.
         printed=printed,
         disc=left_by(days, flight),
-        # By scans (names of SCANS) and Earth (words of EARTHS).
+        # By scans and Earth (names of SCANS and EARTHS).
         cases=cases,
         # The scans that come nearest to the printed ratio where the Earth is WORST, and what they leave.
         nearest=min(worst.items(), key=lambda item: abs(item[1].ratio - printed.ratio)),
@@ -179,22 +154,32 @@ def run_horizon(days: Flight, flight: Flight, ground: FieldModel, windows: PassW
     )
 
 
-def with_horizon(flight: Flight, axes: tuple[int, ...], earth: Earth, shift_deg: float = 0.0) -> Flight:
+def with_horizon(
+    flight: Flight,
+    axes: Sequence[int],
+    seen: str,
+    assumed: str,
+    *,
+    radiance: float = 1.0,
+    reversed_season: bool = False,
+    shift_deg: float = 0.0,
+) -> Flight:
     """The flight with what the horizon does to roll and pitch added to the scanner's own errors.
 
-    shift_deg: the errors are those of the place so far ahead on the orbit.
+    seen: the Earth that the scanner sees; assumed: what it is taken for; shift_deg: the errors are those of the place so
+    far ahead on the orbit.
     """
     world, R_BN = flight.world, frames.rotation_from_q(flight.truth.q_NB)
     normal = np.cross(world.r_N_km, world.v_N_km_s)
     turn = Rotation.from_rotvec(np.radians(shift_deg) * normal / np.linalg.norm(normal, axis=1)[:, None])
-    time = world.time + _HALF_A_YEAR if earth.reversed_season else world.time
-    found = ConicalScanner(axes).nadir(
+    time = world.time + _HALF_A_YEAR if reversed_season else world.time
+    found = ConicalScanner(tuple(axes)).nadir(
         turn.apply(world.r_N_km),
         horizon.north_N(world.time),
         R_BN * turn.inv(),
         world.R_ON * turn.inv(),
-        horizon.surface(earth.seen, time, earth.radiance),
-        horizon.surface(earth.assumed, time),
+        horizon.surface(seen, time, radiance),
+        horizon.surface(assumed, time),
     )
     down_B = R_BN.apply(-world.r_N_km / np.linalg.norm(world.r_N_km, axis=1)[:, None])
     nadir_B = np.array(flight.telemetry.nadir_B)

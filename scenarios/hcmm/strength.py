@@ -17,22 +17,22 @@ is then given the telemetry, which for the real flight nobody has, and says whet
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from scipy.stats import rankdata
 from scipy.stats import t as student_t
 
-from fluxtwin.scenarios.flights import Flight, Numbers, prescribed, rms, rms_along, rms_mG
+from fluxtwin.scenarios.flights import Flight, Numbers, prescribed, rms, rms_along
 from fluxtwin.scenarios.hcmm import mission
 from fluxtwin.scenarios.hcmm.calibration import SETS, choose_rows, fit_rows
 from fluxtwin.scenarios.hcmm.gallery import GROUND, diagnosed
 from fluxtwin.scenarios.hcmm.mission import printed_value, quantity
 from fluxtwin.scenarios.hcmm.passes import ANOMALOUS, LIMIT_MG, rows_of_passes
-from fluxtwin.scenarios.hcmm_orbit.fit import OrbitFit
 from fluxtwin.scenarios.hcmm_orbit.geometry import PassWindows, angles_along
 from fluxtwin.scenarios.hcmm_orbit.record import Pass, read_passes
+from fluxtwin.scenarios.regression import rms_mG
 from fluxtwin.sim.base.progress import Progress
 from fluxtwin.sim.base.random_streams import stream
 from fluxtwin.sim.base.types import BoolArray, FloatArray
@@ -51,26 +51,6 @@ EAST = ("ETC", "MIL")
 FLIGHTS = 10
 SURE = 0.01
 """Probability below which a printed number excludes a hypothesis, all numbers counted."""
-HYPOTHESES: Mapping[str, Mapping[str, Any]] = {
-    "nothing more": {},
-    "white noise, 1.2 mG per axis": {"effects.excess_noise": {"rms_nT": 120.0}},
-    "drifting bias, 2.0 mG in 56 days": {"effects.bias_random_walk": {"rate_nT_per_sqrt_s": 0.092}},
-    "field model, 2.0 years of secular variation": {"effects.field_epoch": {"ahead_yr": 2.0}},
-    "torquers, 2.4 mG left of 20 (print: below 1)": {"torquers.compensation": 0.88},
-}
-"""Magnetometer, field, torquers. Sizes to two digits at which the 39 passes leave what was printed: the table shows how
-near they come."""
-NUMBERS = (
-    "rms of 39 passes [mG]",
-    "rms of 43 passes [mG]",
-    "least of 43 [mG]",
-    "greatest of 43 [mG]",
-    "passes above 3 mG",
-    "spread of the logarithm",
-    "correlation with the field model's error",
-    "calibration A and B, rms [mG]",
-)
-"""What is compared; the first has set the size."""
 _CERTAIN = 0.05
 _ROUNDING_MG = 0.03
 """Of the last number, rms: 2.2 mG is good to 0.05. The residuals are printed to 0.01."""
@@ -101,7 +81,7 @@ def rank_correlation(a: FloatArray, b: FloatArray) -> float:
     return float(np.corrcoef(rankdata(a), rankdata(b))[0, 1])
 
 
-def weigh_field_error(fit: OrbitFit, windows: PassWindows, seed: int) -> Numbers:
+def weigh_field_error(fit: Numbers, windows: PassWindows, seed: int) -> Numbers:
     """Predict the error of IGRF 1975 along the passes, compare it with the printed residual, and turn the map."""
     passes = read_passes()
     truth, flown = load_field("igrf14"), load_field("igrf1975")
@@ -247,49 +227,52 @@ def run_missing(
     world, today = build_world(whole), load_field(GROUND)
     first = epoch.parse_time(config.schedule.segments[0].start_utc)
     residuals_mG = np.array([p.eps_M_mG for p in read_passes()])
-    printed = np.array([*_of_residuals(residuals_mG, evidence), printed_value("calibration", "AB", parameter="rms")])
-    found = []
-    for number, (name, changes) in enumerate(HYPOTHESES.items()):
-        progress(f"missing residual: {name}", number / len(HYPOTHESES))
+    # What is compared; the first has set the size.
+    in_print = _compared(residuals_mG, printed_value("calibration", "AB", parameter="rms"), evidence)
+    names, printed = tuple(in_print), np.array(list(in_print.values()))
+    found, hypotheses = [], mission.CASES["hypothesis"]
+    for number, (name, changes) in enumerate(hypotheses.items()):
+        progress(f"missing residual: {name}", number / len(hypotheses))
         flown = [mission.fly(whole.updated({**changes, "seed": config.seed + k}), world) for k in range(flights)]
         values = np.array([_numbers(flight, ground, windows, evidence) for flight in flown])
         record = flown[0].telemetry.select(flown[0].telemetry.time >= first)
         asked = diagnosed(record, today, config, ("bias", "scale_misalignment")) if diagnose else None
         mean, spread = values.mean(axis=0), values.std(axis=0, ddof=1)
         # By Student's t.
-        rounding = np.append(np.zeros(len(NUMBERS) - 1), _ROUNDING_MG)
+        rounding = np.append(np.zeros(len(names) - 1), _ROUNDING_MG)
         away = np.abs(mean - printed) / np.hypot(spread * np.sqrt(1.0 + 1.0 / flights), rounding)
-        limit = student_t.ppf(1.0 - 0.5 * SURE / (len(NUMBERS) - 1), flights - 1)
+        limit = student_t.ppf(1.0 - 0.5 * SURE / (len(names) - 1), flights - 1)
         found.append(
             Numbers(
                 name=name,
-                # (FLIGHTS, NUMBERS) each flight's; other seeds, the same orbit; (NUMBERS,) mean and standard deviation.
+                # (FLIGHTS, names) each flight's; other seeds, the same orbit; (names,) mean and standard deviation.
                 values=values,
                 mean=mean,
                 spread=spread,
                 # Names of the printed numbers, the first left out, that one more flight would hardly reach.
-                excluded=[name for name, far in list(zip(NUMBERS, away > limit, strict=True))[1:] if far],
+                excluded=[name for name, far in list(zip(names, away > limit, strict=True))[1:] if far],
                 # Of the three days of Table 5 in one flight, the field known as it is today; None where it was not asked.
                 diagnosis=asked,
             )
         )
-    return Numbers(printed=printed, hypotheses=tuple(found))
+    return Numbers(names=names, printed=printed, hypotheses=tuple(found))
 
 
 def _numbers(flight: Flight, ground: FieldModel, windows: PassWindows, evidence: Numbers) -> list[float]:
     fit = fit_rows(flight, choose_rows(flight, SETS[-1]), ground, "white")
     rows = rows_of_passes(flight.telemetry, fit.calibration, ground, windows)
-    return [*_of_residuals(np.array([row.eps_M_mG for row in rows]), evidence), rms_mG(fit)]
+    return list(_compared(np.array([row.eps_M_mG for row in rows]), rms_mG(fit), evidence).values())
 
 
-def _of_residuals(eps_mG: FloatArray, evidence: Numbers) -> list[float]:
-    """All NUMBERS but the last, from the 43 residuals of field strength."""
-    return [
-        rms(np.delete(eps_mG, np.array(ANOMALOUS) - 1)),
-        rms(eps_mG),
-        float(eps_mG.min()),
-        float(eps_mG.max()),
-        float((eps_mG > LIMIT_MG).sum()),
-        float(np.log(eps_mG).std()),
-        rank_correlation(eps_mG, evidence.predicted_mG),
-    ]
+def _compared(eps_mG: FloatArray, calibration_mG: float, evidence: Numbers) -> dict[str, float]:
+    """What is compared with print, from the 43 residuals of field strength and the residual of the calibration."""
+    return {
+        "rms of 39 passes [mG]": rms(np.delete(eps_mG, np.array(ANOMALOUS) - 1)),
+        "rms of 43 passes [mG]": rms(eps_mG),
+        "least of 43 [mG]": float(eps_mG.min()),
+        "greatest of 43 [mG]": float(eps_mG.max()),
+        "passes above 3 mG": float((eps_mG > LIMIT_MG).sum()),
+        "spread of the logarithm": float(np.log(eps_mG).std()),
+        "correlation with the field model's error": rank_correlation(eps_mG, evidence.predicted_mG),
+        "calibration A and B, rms [mG]": calibration_mG,
+    }

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -12,25 +12,11 @@ import numpy as np
 
 from fluxtwin.calib.common.digits import with_sigma
 from fluxtwin.gap.channels.sun_nadir import open_channel
-from fluxtwin.gap.records.diagnosis import Diagnosis, EffectParameter
 from fluxtwin.gap.report.words import located
-from fluxtwin.scenarios.flights import (
-    ATTITUDES,
-    NAMES,
-    Numbers,
-    calibration_summary,
-    is_dynamic,
-    motion_of,
-    provenance,
-    rms_along,
-    rms_mG,
-    vector,
-    vector_sigma,
-    write_flight,
-)
+from fluxtwin.scenarios.flights import ATTITUDES, Numbers, is_dynamic, motion_of, provenance, rms_along, write_flight
 from fluxtwin.scenarios.hcmm import calibration, mission, scanner, strength, yaw
 from fluxtwin.scenarios.hcmm.calibration import BUDGET_RUNS, RUNS, run_calibrations, run_errors
-from fluxtwin.scenarios.hcmm.gallery import GROUND, REGION_DEG, run_gallery
+from fluxtwin.scenarios.hcmm.gallery import FAULTS, GROUND, REGION_DEG, run_gallery
 from fluxtwin.scenarios.hcmm.passes import ANOMALOUS, column_of, rms_of, run_dawn, run_passes
 from fluxtwin.scenarios.hcmm.scanner import run_horizon, run_scanner
 from fluxtwin.scenarios.hcmm.strength import FLIGHTS, ask, run_missing, weigh_field_error
@@ -38,24 +24,17 @@ from fluxtwin.scenarios.hcmm.yaw import run_accuracy, run_yaw
 from fluxtwin.scenarios.hcmm_orbit import predictions
 from fluxtwin.scenarios.hcmm_orbit.fit import fit_orbit
 from fluxtwin.scenarios.hcmm_orbit.predictions import run_flight_test, weigh_ideas, windows_of
-from fluxtwin.scenarios.hcmm_orbit.record import Range, read_passes
+from fluxtwin.scenarios.hcmm_orbit.record import read_passes
 from fluxtwin.scenarios.page import Page, StudyResult
-from fluxtwin.scenarios.words import Words, motion_table
+from fluxtwin.scenarios.regression import NAMES, calibration_summary, rms_mG, vector, vector_sigma
+from fluxtwin.scenarios.words import Words
 from fluxtwin.sim.base.progress import Progress, part_of, silent
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.earth.constants import NT_PER_MG
 from fluxtwin.sim.earth.field import load_field
 from fluxtwin.sim.earth.horizon import INFRARED_SOURCE
-
-NULLS = {
-    "dipole": "dipole only",
-    "degree2": "degrees 1 and 2",
-    "degree4": "degrees 1 to 4",
-    "field_10deg": "field turned by 10 deg",
-    "node_15min": "node 15 min off",
-}
-"""What is wrong in each null test."""
+from fluxtwin.sim.effects.switched_field import SwitchedField
 
 
 def pulls(r: Numbers) -> FloatArray:
@@ -74,7 +53,7 @@ def gallery_summary(answers: Sequence[Numbers]) -> list[dict[str, Any]]:
             "named": answer.name,
             "right": answer.right,
             "where": {name: getattr(answer.diagnosis.where, name) for name in ("stage", "axis", "frame", "condition")},
-            "located": answer.located,
+            "located": words().say("located_in", found=answer.diagnosis),
             "parameters": [vars(one) for one in answer.compared],
             "passes_not_used": answer.later
             and {
@@ -96,99 +75,26 @@ def words() -> Words:
     return Words(
         mission.PRINTED.package,
         "words.md",
+        "../studies.md",
         "claims.md",
         "gallery.md",
-        filters=_FILTERS,
         known=(
             *(calibration, predictions, scanner, strength, yaw),
-            *(calibration_summary, column_of, differ, epoch.iso, epoch.seconds_since, located, mission.quantity),
-            *(open_channel, pulls, rms_mG, rms_of, vector, vector_sigma),
+            *(calibration_summary, column_of, epoch.iso, epoch.seconds_since, located, mission.quantity),
+            *(SwitchedField, tuple),
+            *(open_channel, pulls, rms_along, rms_mG, rms_of, vector, vector_sigma),
         ),
         clock=lambda time: epoch.iso(time)[11:19],
         days=mission.DAYS,
-        diagnosed=_diagnosed,
         four=[number - 1 for number in ANOMALOUS],
         infrared_source=INFRARED_SOURCE,
         gallery=gallery_summary,
         names=NAMES,
-        null_words=NULLS,
-        print_of=_printed_column,
         printed=mission.printed_value,
-        ranges=_ranges,
         region_deg=REGION_DEG,
-        residuals=_residuals,
         rounded=lambda value, sigma: with_sigma(value, sigma)[0],
         size=mission.PRINTED.size,
     )
-
-
-def _printed_column(name: str) -> FloatArray:
-    """(12,) the printed column of Table 3, S row by row and b [mG]."""
-    return np.array([mission.printed_value("calibration", name, parameter=parameter) for parameter in NAMES])
-
-
-def _span(ends: Range) -> str:
-    """As 17-31, or one number if both are the same."""
-    low, high = (f"{value:.0f}" for value in ends)
-    return low if low == high else f"{low}-{high}"
-
-
-def _unbroken(text: str) -> str:
-    """On one line however narrow the column."""
-    return text.replace(" ", "\u00a0")
-
-
-def _ranges(ours: Range | None, printed: Range | None) -> str:
-    """Two cells."""
-    return " | " if ours is None or printed is None else f"{_span(ours)} | {_span(printed)}"
-
-
-def _residuals(ours: float | None, printed: float | None) -> str:
-    """Two cells."""
-    if ours is None and printed is None:
-        return " | "
-    return " | ".join("-" if value is None else f"{value:.2f}" for value in (ours, printed))
-
-
-def _diagnosed(found: Diagnosis | None) -> str:
-    if found is None:
-        return "not asked"
-    effects = [f"{e.name} ({', '.join(_value(*item) for item in e.parameters.items())})" for e in found.effects]
-    where = f", at the stage {found.where.stage}" if found.verdict == "unknown" else ""
-    return "; ".join(effects) or found.verdict.replace("_", " ") + where
-
-
-def _value(name: str, parameter: EffectParameter) -> str:
-    sigma = "" if parameter.sigma is None else f" ± {parameter.sigma:.2g}"
-    return f"{name} {parameter.value:.3g}{sigma}{'' if parameter.unit == '1' else f' {parameter.unit}'}"
-
-
-def differ(one: Numbers) -> str:
-    """Whether stations are seen to differ."""
-    return "differ" if one.certain else "are not seen to differ"
-
-
-def p_is(value: float) -> str:
-    """As `= 0.03` or `< 0.0001`."""
-    return _p(value) if value < 0.0001 else f"= {_p(value)}"
-
-
-def _p(value: float) -> str:
-    if value < 0.0001:
-        return "<\u00a00.0001"
-    return f"{value:.4f}" if value < 0.01 else f"{value:.2f}"
-
-
-_FILTERS: Mapping[str, Any] = {
-    "marked": lambda item: _unbroken(item.label + ("*" if item.dawn else "**" if item.number in ANOMALOUS else "")),
-    "p": _p,
-    "p_is": p_is,
-    "rms": lambda values: rms_along(values, axis=0),
-    "span": _span,
-    "unbroken": _unbroken,
-    "unitless": lambda name: name.split(" [")[0],
-}
-"""How the tables write passes, ranges and p-values."""
 
 
 def run(
@@ -211,7 +117,6 @@ def present(results: Numbers) -> StudyResult:
         "hcmm",
         provenance(config),
         claims=said.judge(r=results),
-        made={"motion": motion_table(results.motion, said.say("pointing", r=results))},
         links={"Four faults, found from telemetry: the gallery": "gallery.html"},
         more_pages={"gallery": gallery_page(results.gallery, config.seed, results.gallery_law)},
         r=results,
@@ -236,7 +141,7 @@ def compute(
     progress: Progress = silent,
     *,
     runs: int = RUNS,
-    only: Sequence[str] = ("a", "b", "c", "d"),
+    only: Sequence[str] = tuple(FAULTS),
     attitude: str = ATTITUDES[0],
 ) -> Numbers:
     """All the numbers. `runs`: size of the Monte Carlo, `only`: cases of the gallery, both for quick looks.

@@ -17,19 +17,17 @@ The first guess is from acquisition times alone, by trying the whole sky: no sta
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
+from fluxtwin.scenarios.flights import Numbers
 from fluxtwin.scenarios.hcmm_orbit.geometry import (
     EPOCH,
     INCLINATION_DEG,
-    Grid,
-    PassWindows,
-    Sky,
     fix_windows,
     look,
     make_grid,
@@ -44,6 +42,7 @@ from fluxtwin.sim.earth import epoch, frames, sun
 from fluxtwin.sim.earth.constants import EARTH_RADIUS_KM
 from fluxtwin.sim.earth.orbit import Orbit, orbital_rates
 
+Pair = tuple[FloatArray, FloatArray]
 ELEMENTS = ("semi_major_axis_km", "raan_deg", "argument_of_latitude_deg")
 _RISE_MIN, _START_MIN, _VISIBLE_MIN = 1.0, 0.4, 0.3
 """Scatter allowed for acquisition against rise, for the start of the data, and for data past the horizon [min]."""
@@ -64,39 +63,7 @@ _MOST_DEG = 12.0
 _LATER_S = 180.0
 
 
-@dataclass(frozen=True)
-class OrbitFit:
-    """The orbit and how well it is known. K elements, P passes."""
-
-    orbit: Orbit
-    names: tuple[str, ...]
-    values: FloatArray
-    """(K,) km and deg, at the epoch, true equator and equinox of date."""
-    covariance: FloatArray
-    """(K, K), from the scatter of the passes."""
-    windows: PassWindows
-    """Fixed from the sun-nadir ranges alone, along the fitted orbit."""
-    rise_min: FloatArray
-    """(P,) predicted rise less printed acquisition."""
-    highest_deg: FloatArray
-    """(P,) greatest elevation."""
-    start_offset_min: float
-    """Mean time from acquisition to the first datum."""
-
-    @property
-    def sigmas(self) -> FloatArray:
-        """(K,) 1 sigma."""
-        return np.asarray(np.sqrt(np.diag(self.covariance)))
-
-    @property
-    def node_apparent_h(self) -> float:
-        """Local apparent solar time of the ascending node at the epoch [h]."""
-        sun_T = frames.rotation_TN(self.orbit.epoch_utc).apply(sun.sun_N_km(self.orbit.epoch_utc))[0]
-        hour_angle_rad = self.orbit.raan_rad - np.arctan2(sun_T[1], sun_T[0])
-        return float((np.degrees(hour_angle_rad) / 15.0 + 12.0) % 24.0)
-
-
-def fit_orbit(passes: tuple[Pass, ...] | None = None, *, free_inclination: bool = False) -> OrbitFit:
+def fit_orbit(passes: tuple[Pass, ...] | None = None, *, free_inclination: bool = False) -> Numbers:
     """Fit the record, with the sun-nadir ranges as the scan shows them.
 
     Acquisition times are those of the table with its seven corrections: three minutes above 59, and four
@@ -111,22 +78,36 @@ def fit_orbit(passes: tuple[Pass, ...] | None = None, *, free_inclination: bool 
     elements = problem.elements(found)
     orbit = orbit_of(*elements)
     sky = look(grid, orbit)
-    return OrbitFit(
+    covariance = problem.covariance(found)[:K, :K] + problem.common_rounding(found)[:K, :K]
+    return Numbers(
         orbit=orbit,
+        # (K,) km and deg, at the epoch, true equator and equinox of date; (K, K) from the scatter of the passes.
         names=(*ELEMENTS, "inclination_deg")[:K],
         values=elements[:K],
-        covariance=problem.covariance(found)[:K, :K] + problem.common_rounding(found)[:K, :K],
+        covariance=covariance,
+        sigmas=np.sqrt(np.diag(covariance)),
+        node_apparent_h=_node_apparent_h(orbit),
+        # Fixed from the sun-nadir ranges alone, along the fitted orbit.
         windows=fix_windows(grid, sky, ranges),
+        # (P,) predicted rise less printed acquisition, and greatest elevation.
         rise_min=rise_and_set_min(grid, sky)[0],
         highest_deg=sky.elevation_deg.max(axis=1),
-        start_offset_min=float(found[K]),
+        # Mean time from acquisition to the first datum.
+        start_offset_min=found[K],
     )
+
+
+def _node_apparent_h(orbit: Orbit) -> float:
+    """Local apparent solar time of the ascending node at the epoch [h]."""
+    sun_T = frames.rotation_TN(orbit.epoch_utc).apply(sun.sun_N_km(orbit.epoch_utc))[0]
+    hour_angle_rad = orbit.raan_rad - np.arctan2(sun_T[1], sun_T[0])
+    return float((np.degrees(hour_angle_rad) / 15.0 + 12.0) % 24.0)
 
 
 class _Problem:
     """Residuals of x = (K elements, mean start, P starts, P ends) and their Jacobian."""
 
-    def __init__(self, grid: Grid, ranges: Sequence[Range], free: int, start: FloatArray) -> None:
+    def __init__(self, grid: Numbers, ranges: Sequence[Range], free: int, start: FloatArray) -> None:
         self.grid, self.free, self.fixed = grid, free, start
         self.low, self.high = np.array(ranges).T
         self.count = len(ranges)
@@ -169,13 +150,8 @@ class _Problem:
         for k in range(self.count):
             times, low, high = ranges_of_windows(self.grid.minutes, sky.sun_nadir_deg[k], (rise[k], fall[k]))
             start, end = times[:, None], times[None, :]
-            cost = (
-                _losses((start - x[self.free]) / _START_MIN)
-                + _losses(np.maximum(rise[k] - start, 0.0) / _VISIBLE_MIN)
-                + _losses(np.maximum(end - fall[k], 0.0) / _VISIBLE_MIN)
-                + _losses((low - self.low[k]) / _ANGLE_DEG)
-                + _losses((high - self.high[k]) / _ANGLE_DEG)
-            )
+            misfits = self._misfits(k, x, (rise[k], fall[k]), (start, end), (low, high))
+            cost = functools.reduce(np.add, map(_losses, misfits))
             first, last = np.unravel_index(int(np.nanargmin(cost)), cost.shape)
             x[self.free + 1 + k], x[self.free + 1 + self.count + k] = times[first], times[last]
         return x
@@ -197,7 +173,7 @@ class _Problem:
         """(6 P,)."""
         return self._of_windows(look(self.grid, orbit_of(*self.elements(x))), x).ravel()
 
-    def _of_windows(self, sky: Sky, x: FloatArray) -> FloatArray:
+    def _of_windows(self, sky: Numbers, x: FloatArray) -> FloatArray:
         """(P, 6)."""
         first = self.free + 1
         start, end = x[first : first + self.count], x[first + self.count :]
@@ -207,16 +183,20 @@ class _Problem:
         inside = (minutes[None, :] > start[:, None]) & (minutes[None, :] < end[:, None])
         low = np.minimum(np.where(inside, angle, np.inf).min(axis=1), ends.min(axis=1))
         high = np.maximum(np.where(inside, angle, -np.inf).max(axis=1), ends.max(axis=1))
-        return np.stack(
-            [
-                rise / _RISE_MIN,
-                (start - x[self.free]) / _START_MIN,
-                np.maximum(rise - start, 0.0) / _VISIBLE_MIN,
-                np.maximum(end - fall, 0.0) / _VISIBLE_MIN,
-                (low - self.low) / _ANGLE_DEG,
-                (high - self.high) / _ANGLE_DEG,
-            ],
-            axis=1,
+        misfits = self._misfits(slice(None), x, (rise, fall), (start, end), (low, high))
+        return np.stack([rise / _RISE_MIN, *misfits], axis=1)
+
+    def _misfits(
+        self, which: int | slice, x: FloatArray, visible: Pair, window: Pair, angles: Pair
+    ) -> tuple[FloatArray, ...]:
+        """Residuals of passes but that of the rise: of the start, of data before the rise and past the fall, of both ends of
+        the range."""
+        return (
+            (window[0] - x[self.free]) / _START_MIN,
+            np.maximum(visible[0] - window[0], 0.0) / _VISIBLE_MIN,
+            np.maximum(window[1] - visible[1], 0.0) / _VISIBLE_MIN,
+            (angles[0] - self.low[which]) / _ANGLE_DEG,
+            (angles[1] - self.high[which]) / _ANGLE_DEG,
         )
 
     def jacobian(self, x: FloatArray) -> FloatArray:

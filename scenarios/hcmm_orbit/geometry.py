@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from fluxtwin.scenarios.flights import Numbers
 from fluxtwin.scenarios.hcmm_orbit.record import Pass, Range, read_stations
 from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
 from fluxtwin.sim.earth import epoch, frames, sun
@@ -42,64 +43,39 @@ def orbit_of(semi_major_axis_km: float, raan_deg: float, u_deg: float, inclinati
     )
 
 
-@dataclass(frozen=True)
-class Grid:
-    """What does not depend on the orbit: P passes, G times each."""
-
-    passes: tuple[Pass, ...]
-    minutes: FloatArray
-    """(G,) after the printed acquisition."""
-    time: TimeArray
-    """(P G,)."""
-    sun_N: FloatArray
-    """(P G, 3) unit vectors to the sun; the parallax of a low orbit, 10 arcsec, is left out."""
-    R_EN: Rotation
-    site_E_km: FloatArray
-    """(P G, 3) position of each pass's station."""
-    up_E: FloatArray
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        return len(self.passes), self.minutes.size
-
-
-@dataclass(frozen=True)
-class Sky:
-    """Along one orbit, (P, G)."""
-
-    sun_nadir_deg: FloatArray
-    elevation_deg: FloatArray
-
-
-def make_grid(passes: Sequence[Pass]) -> Grid:
-    """Times, sun and stations for these passes."""
+def make_grid(passes: Sequence[Pass]) -> Numbers:
+    """What does not depend on the orbit, of P passes at G times each: times, sun and stations."""
     minutes = np.arange(_FIRST_MIN, _LAST_MIN + 1e-9, _STEP_MIN)
     time = np.concatenate([epoch.add_seconds(item.aos, 60.0 * minutes) for item in passes])
     stations = read_stations()
     at = [stations[item.station] for item in passes]
-    return Grid(
+    return Numbers(
         passes=tuple(passes),
+        # (G,) after the printed acquisition, and (P G,).
         minutes=minutes,
         time=time,
+        # (P G, 3) unit vectors to the sun; the parallax of a low orbit, 10 arcsec, is left out.
         sun_N=sun.sun_direction_N(time),
         R_EN=frames.rotation_EN(time),
+        # (P G, 3) position of each pass's station, and its vertical.
         site_E_km=np.repeat([station.r_E_km for station in at], minutes.size, axis=0),
         up_E=np.repeat([station.up_E for station in at], minutes.size, axis=0),
     )
 
 
-def look(grid: Grid, orbit: Orbit) -> Sky:
-    """Sun-nadir angle and elevation at every time of the grid."""
+def look(grid: Numbers, orbit: Orbit) -> Numbers:
+    """Sun-nadir angle and elevation (P, G) along one orbit."""
     r_N_km, _ = orbit.propagate(grid.time)
     line = grid.R_EN.apply(r_N_km) - grid.site_E_km
     elevation = np.arcsin(np.einsum("ij,ij->i", line, grid.up_E) / np.linalg.norm(line, axis=1))
-    return Sky(
-        sun_nadir_deg=np.degrees(frames.angle_between(-r_N_km, grid.sun_N)).reshape(grid.shape),
-        elevation_deg=np.degrees(elevation).reshape(grid.shape),
+    shape = (len(grid.passes), grid.minutes.size)
+    return Numbers(
+        sun_nadir_deg=np.degrees(frames.angle_between(-r_N_km, grid.sun_N)).reshape(shape),
+        elevation_deg=np.degrees(elevation).reshape(shape),
     )
 
 
-def rise_and_set_min(grid: Grid, sky: Sky) -> tuple[FloatArray, FloatArray]:
+def rise_and_set_min(grid: Numbers, sky: Numbers) -> tuple[FloatArray, FloatArray]:
     """Minutes after the printed acquisition at which each pass begins and ends, (P,) each, elevation 0.
 
     The pass taken is the one whose culmination lies nearest 5 min after the acquisition. A pass that stays below the
@@ -135,7 +111,7 @@ class PassWindows:
     end_min: FloatArray
 
 
-def fix_windows(grid: Grid, sky: Sky, ranges: Sequence[Range]) -> PassWindows:
+def fix_windows(grid: Numbers, sky: Numbers, ranges: Sequence[Range]) -> PassWindows:
     """The window of every pass, from its printed sun-nadir range alone; of equal ones the longest.
 
     Only times with the spacecraft above the station's horizon count, half a minute of grace at either end. Where the
@@ -147,7 +123,7 @@ def fix_windows(grid: Grid, sky: Sky, ranges: Sequence[Range]) -> PassWindows:
     return PassWindows(*np.array(found).T)
 
 
-def turning_ends(grid: Grid, sky: Sky, ranges: Sequence[Range]) -> BoolArray:
+def turning_ends(grid: Numbers, sky: Numbers, ranges: Sequence[Range]) -> BoolArray:
     """(P, 2) True where a printed end is a turning point of the angle inside the visible arc."""
     rise, fall = rise_and_set_min(grid, sky)
     out = np.zeros((len(ranges), 2), dtype=bool)
@@ -197,19 +173,6 @@ def _with_turning_points(printed: Range, turning: FloatArray) -> Range:
     return low, high
 
 
-@dataclass(frozen=True)
-class PassAngles:
-    """What the orbit, the sun and a field model give along each pass's window; P passes, M times."""
-
-    minutes: FloatArray
-    """(P, M) after the printed acquisition."""
-    sun_field_deg: FloatArray
-    nadir_field_deg: FloatArray
-    latitude_deg: FloatArray
-    """(P, M) geocentric."""
-    longitude_deg: FloatArray
-
-
 def ends_of(values: FloatArray) -> FloatArray:
     """(P, 2) lowest and highest of values (P, M)."""
     return np.stack([values.min(axis=1), values.max(axis=1)], axis=1)
@@ -226,8 +189,11 @@ def track_of(
 
 def angles_along(
     passes: Sequence[Pass], windows: PassWindows, orbit: Orbit, model: FieldModel, *, turned_east_deg: float = 0.0
-) -> PassAngles:
-    """Evaluate the model along the orbit. turned_east_deg: the whole field is turned about the Earth's axis by this."""
+) -> Numbers:
+    """What orbit, sun and model give along each pass's window, (P, M).
+
+    turned_east_deg: the whole field is turned about the Earth's axis by this.
+    """
     minutes, time, r_N_km = track_of(passes, windows, orbit, _SAMPLES)
     R_EN = frames.rotation_EN(time)
     r_E_km = R_EN.apply(r_N_km)
@@ -235,5 +201,11 @@ def angles_along(
     field_N = R_EN.inv().apply(turn.apply(field_E_nT(model, time, turn.inv().apply(r_E_km))))
     latitude, longitude, _ = frames.geocentric(r_E_km)
     sun_N = sun.sun_direction_N(time, r_N_km)
-    found = (frames.angle_between(sun_N, field_N), frames.angle_between(-r_N_km, field_N), latitude, longitude)
-    return PassAngles(minutes, *(np.degrees(one).reshape(minutes.shape) for one in found))
+    found = {
+        "sun_field_deg": frames.angle_between(sun_N, field_N),
+        "nadir_field_deg": frames.angle_between(-r_N_km, field_N),
+        "latitude_deg": latitude,
+        "longitude_deg": longitude,
+    }
+    # Minutes after the printed acquisition; the latitude is geocentric.
+    return Numbers(minutes=minutes, **{name: np.degrees(one).reshape(minutes.shape) for name, one in found.items()})

@@ -19,7 +19,6 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from fluxtwin.scenarios.flights import Numbers, rms
-from fluxtwin.scenarios.hcmm_orbit.fit import OrbitFit
 from fluxtwin.scenarios.hcmm_orbit.geometry import (
     PassWindows,
     angles_along,
@@ -54,7 +53,7 @@ def windows_of(passes: tuple[Pass, ...], orbit: Orbit, *, as_scanned: bool = Tru
     return fix_windows(grid, look(grid, orbit), [p.sun_nadir_read if as_scanned else p.sun_nadir for p in passes])
 
 
-def run_flight_test(fit: OrbitFit, model: FieldModel | None = None) -> Numbers:
+def run_flight_test(fit: Numbers, model: FieldModel | None = None) -> Numbers:
     """Predict with IGRF-14 where there is no other, and with four wrong fields and a wrong node."""
     model = load_field("igrf14") if model is None else model
     passes = tuple(item for item in read_passes() if item.sunlit)
@@ -100,7 +99,7 @@ def run_flight_test(fit: OrbitFit, model: FieldModel | None = None) -> Numbers:
     )
 
 
-def weigh_ideas(fit: OrbitFit, windows: PassWindows) -> Numbers:
+def weigh_ideas(fit: Numbers, windows: PassWindows) -> Numbers:
     """Predict the nadir-field column by every idea, along the fitted orbit and in the windows of all 43 passes."""
     passes = read_passes()
     model, flown = load_field("igrf14"), load_field("igrf1975")
@@ -228,7 +227,7 @@ def _best_part(minutes: FloatArray, angle_deg: FloatArray) -> Predict:
 
 
 def _fit_pole(
-    passes: Sequence[Pass], windows: PassWindows, fit: OrbitFit, printed: FloatArray, sunlit: BoolArray
+    passes: Sequence[Pass], windows: PassWindows, fit: Numbers, printed: FloatArray, sunlit: BoolArray
 ) -> tuple[float, float]:
     """The centred dipole whose nadir-field angles fit the sunlit passes best (median of 48 ends)."""
     _, time, r_N_km = track_of(passes, windows, fit.orbit, 25)

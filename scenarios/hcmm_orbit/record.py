@@ -6,13 +6,12 @@ says what was changed and from what. The record is in `passes.csv`; the stations
 
 from __future__ import annotations
 
-import csv
 from dataclasses import dataclass
 from functools import cache
-from importlib import resources
 
 import numpy as np
 
+from fluxtwin.scenarios.flights import Mission
 from fluxtwin.scenarios.packaged import SCENARIOS, load_scenario
 from fluxtwin.sim.earth.stations import Station
 from fluxtwin.sim.run.world import stations_of
@@ -59,8 +58,7 @@ class Pass:
 @cache
 def read_passes() -> tuple[Pass, ...]:
     """All 43 passes, in the order of the table."""
-    text = resources.files("fluxtwin.scenarios.hcmm_orbit").joinpath("data/passes.csv").read_text(encoding="utf-8")
-    return tuple(map(_pass, csv.DictReader(text.splitlines())))
+    return tuple(map(_pass, Mission("fluxtwin.scenarios.hcmm_orbit").table("passes")))
 
 
 @cache
@@ -83,16 +81,12 @@ def _pass(row: dict[str, str]) -> Pass:
         sun_field=_range(row, "sm") if row["sm_lo"] else None,
         sun_field_read=_range(row, "sm", "_read") if row["sm_lo_read"] else None,
         nadir_field_read=_range(row, "em", "_read"),
-        delta_sun_field_deg=_number(row["dSM"]),
+        delta_sun_field_deg=float(row["dSM"]) if row["dSM"] else None,
         delta_nadir_field_deg=float(row["dEM_read"]),
-        delta_sun_nadir_deg=_number(row["dSE"]),
+        delta_sun_nadir_deg=float(row["dSE"]) if row["dSE"] else None,
         why=row["why"],
     )
 
 
 def _range(row: dict[str, str], name: str, kind: str = "") -> Range:
     return float(row[f"{name}_lo{kind}"]), float(row[f"{name}_hi{kind}"])
-
-
-def _number(text: str) -> float | None:
-    return float(text) if text else None

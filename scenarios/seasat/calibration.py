@@ -8,18 +8,8 @@ from scipy.spatial.transform import Rotation
 from fluxtwin.calib.common.design import assemble
 from fluxtwin.calib.common.records import Calibration
 from fluxtwin.calib.linear.calibrate import LinearFit
-from fluxtwin.scenarios.flights import (
-    Estimates,
-    Numbers,
-    bias_alone,
-    budget,
-    error_square_mG2,
-    papers_regression,
-    rms,
-    rms_mG,
-    truth_vector,
-    vector,
-)
+from fluxtwin.scenarios import regression
+from fluxtwin.scenarios.flights import Numbers, rms
 from fluxtwin.scenarios.seasat import mission
 from fluxtwin.scenarios.seasat.mission import DATA_SETS, Flight
 from fluxtwin.sim.base.errors import NoAnswer
@@ -50,13 +40,13 @@ def run_calibrations(flight: Flight, ground: FieldModel, progress: Progress, run
         progress(f"calibration {run + 1} of {runs}", run / runs)
         other = mission.fly(mission.with_random_hours(flight.scenario, flight.scenario.seed + 1 + run))
         reference_square.append(np.nanmean(reference_error_rad(other) ** 2, axis=0))
-        bias_only.append(bias_alone(mission.record_of(other, "205"), ground).b_nT / NT_PER_MG)
+        bias_only.append(regression.bias_alone(mission.record_of(other, "205"), ground).b_nT / NT_PER_MG)
         found.append([_try_both(other, name, ground) for name in DATA_SETS])
         if run < WHITE_RUNS:
             again = mission.fly(other.scenario.updated({"magnetometer.unknown.kind": "white"}), other.world)
             white.append([_try_both(again, name, ground)[0] for name in WHITE_SETS])
     plain, without_bias, spread = (np.array([[one[k] for one in sets] for sets in found]) for k in range(3))
-    truth = truth_vector(flight.scenario)
+    truth = regression.truth_vector(flight.scenario)
     return Numbers(
         # The papers' regression with the covariance widened for correlated errors, by data set; and the same with the
         # errors-in-variables correction.
@@ -64,9 +54,9 @@ def run_calibrations(flight: Flight, ground: FieldModel, progress: Progress, run
         corrected=corrected,
         # The papers' regression in `runs` flights, every one with its own seed and start hours; with the correction; and of
         # day 205 and all in WHITE_RUNS flights, had the unknown been white noise.
-        many=Estimates(tuple(DATA_SETS), plain, truth),
-        many_corrected=Estimates(tuple(DATA_SETS), without_bias, truth),
-        many_white=Estimates(WHITE_SETS, np.array(white), truth),
+        many=regression.Estimates(tuple(DATA_SETS), plain, truth),
+        many_corrected=regression.Estimates(tuple(DATA_SETS), without_bias, truth),
+        many_white=regression.Estimates(WHITE_SETS, np.array(white), truth),
         # (R, 3) by data set: smallest, middle and largest rms of the field's variation in body directions.
         field_rms_mG={name: spread[:, place] for place, name in enumerate(DATA_SETS)},
         # (R, 3) mean bias of day 205 with T = S = 0, as in figure 1.
@@ -89,8 +79,8 @@ def reference_error_rad(flight: Flight) -> FloatArray:
 
 def calibrations(flight: Flight, ground: FieldModel) -> tuple[Calibration, Calibration]:
     """The full calibration of all days, and the mean bias of day 205."""
-    whole = papers_regression(flight.telemetry, ground).calibration
-    return whole, bias_alone(mission.record_of(flight, "205"), ground)
+    whole = regression.papers_regression(flight.telemetry, ground).calibration
+    return whole, regression.bias_alone(mission.record_of(flight, "205"), ground)
 
 
 def _try_both(flight: Flight, data_set: str, ground: FieldModel) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -99,12 +89,12 @@ def _try_both(flight: Flight, data_set: str, ground: FieldModel) -> tuple[FloatA
         plain, corrected = (_fit(flight, data_set, ground, corrected=flag) for flag in (False, True))
     except NoAnswer:
         return np.full(12, np.nan), np.full(12, np.nan), np.full(3, np.nan)
-    return vector(plain), vector(corrected), np.sort(plain.variation.rms_nT) / NT_PER_MG
+    return regression.vector(plain), regression.vector(corrected), np.sort(plain.variation.rms_nT) / NT_PER_MG
 
 
 def _fit(flight: Flight, data_set: str, ground: FieldModel, *, corrected: bool, covariance: str = "white") -> LinearFit:
     telemetry = mission.record_of(flight, data_set)
-    return papers_regression(telemetry, ground, errors_in_variables=corrected, covariance=covariance)
+    return regression.papers_regression(telemetry, ground, errors_in_variables=corrected, covariance=covariance)
 
 
 def check_identities(flight: Flight, fit: LinearFit, ground: FieldModel) -> Numbers:
@@ -171,12 +161,14 @@ def run_errors(config: Scenario, ground: FieldModel, progress: Progress, runs: i
     for number, (case, sources) in enumerate(cases.items()):
         progress(f"error budget: {case}", 0.7 * number / len(cases))
         flown = _flights(mission.only(config, *sources), worlds["field" in sources], runs)
-        squares[case] = [error_square_mG2(flight, flight.telemetry, ground) for flight in flown]
+        squares[case] = [regression.error_square_mG2(flight, flight.telemetry, ground) for flight in flown]
 
     def fit_rms(scenario: Scenario) -> float:
         """Residual [mG] of the 12-parameter fit, rms over the flights."""
-        fits = [papers_regression(flight.telemetry, ground) for flight in _flights(scenario, worlds[True], runs)]
-        return rms(np.array([rms_mG(fit) for fit in fits]))
+        fits = [
+            regression.papers_regression(flight.telemetry, ground) for flight in _flights(scenario, worlds[True], runs)
+        ]
+        return rms(np.array([regression.rms_mG(fit) for fit in fits]))
 
     progress("error budget: residual of the fit", 0.75)
     fit_known, fit_all = fit_rms(mission.only(config, *KNOWN)), fit_rms(config)
@@ -189,9 +181,10 @@ def run_errors(config: Scenario, ground: FieldModel, progress: Progress, runs: i
         unknown *= float(np.sqrt((printed**2 - fit_known**2) / (residual**2 - fit_known**2)))
         residual = fit_rms(config.updated({"magnetometer.unknown.rms_mG": unknown}))
     alone = mission.fly(mission.only(config, "field"), worlds[True])
+    shifted = regression.vector(regression.papers_regression(alone.telemetry, ground))
     return Numbers(
         # [mG, rms per component over the 325 samples] Error of equation 1 at the true S, b, T = 0, with that source alone.
-        **budget(squares),
+        **regression.budget(squares),
         paper_rule=paper_rule(config),
         # Residual of the 12-parameter fit with the known sources, and with the unknown of 2.6 mG.
         fit_known=fit_known,
@@ -201,7 +194,7 @@ def run_errors(config: Scenario, ground: FieldModel, progress: Progress, runs: i
         fit_with_that=residual,
         torquer_bounds=torquer_bounds(config),
         # (12,) shift of S and b [mG] that the error of the ground's field model alone causes.
-        field_shift=vector(papers_regression(alone.telemetry, ground)) - truth_vector(alone.scenario),
+        field_shift=shifted - regression.truth_vector(alone.scenario),
     )
 
 
@@ -211,13 +204,8 @@ def _flights(config: Scenario, world: World, runs: int) -> list[Flight]:
 
 def paper_rule(config: Scenario) -> dict[str, float]:
     """The papers' arithmetic: LSB/sqrt 12, and the printed 0.5, 1.7 (a bound), 1.4 and 2.6 used as rms values."""
-    sources = {
-        "attitude": "reference attitude error",
-        "torquer": "electromagnet activity",
-        "field": "field model error",
-        "unknown": "unknown",
-    }
-    rule = {name: mission.printed_value("errors", "rms_mG", source=source) for name, source in sources.items()}
+    printed = ("attitude", "torquer", "field", "unknown")
+    rule = {name: mission.printed_value("errors", "rms_mG", short=name) for name in printed}
     rule["lsb"] = float(config.magnetometer.step_nT / NT_PER_MG / np.sqrt(12.0))
     rule["known"] = float(np.sqrt(sum(rule[name] ** 2 for name in KNOWN)))
     rule["all"] = float(np.hypot(rule["known"], rule["unknown"]))

@@ -55,8 +55,7 @@ def scan_node() -> Numbers:
     nodes = np.arange(0.0, 360.0, 1.0)
     dark = np.stack([_dark_share(_normal(node, days), sun_T) for node in nodes])
     late, data = dark[:, len(DATA_DAYS) :], dark[:, : len(DATA_DAYS)]
-    distance = np.maximum(np.maximum(0.30 - late, late - 0.35), 0.0)
-    misfit = distance.mean(axis=1) + data.mean(axis=1)
+    misfit = distance_from(late, 0.30, 0.35).mean(axis=1) + data.mean(axis=1)
     return Numbers(
         # (K,) nodes at 0 h UTC of day 205, true of date, and the misfit of each.
         raan_deg=nodes,
@@ -141,6 +140,11 @@ def _judge(
         late_visible_share=visible,
         late_visible_south=visible_south,
     )
+
+
+def distance_from(values: FloatArray, low: float, high: float) -> FloatArray:
+    """How far values are from an interval; 0 inside."""
+    return np.maximum(np.maximum(low - values, values - high), 0.0)
 
 
 def _dark_share(normal_T: FloatArray, sun_T: FloatArray) -> FloatArray:

@@ -37,8 +37,6 @@ DATA_SETS: Mapping[str, tuple[int, ...]] = {
 }
 """Segments of the schedule in each data set. 193 samples are days 205 and 225; the published base of 210
 samples is no sum of these days and is left out."""
-PAPER_COLUMN = {"205": "205", "219": "219", "225": "225", "227": "227", "193": "combo193", "all": "final325"}
-"""Columns of `calibration.csv`."""
 
 
 def record_of(flight: Flight, data_set: str) -> Telemetry:

@@ -11,29 +11,19 @@ from pathlib import Path
 import numpy as np
 
 from fluxtwin.calib.common.records import Calibration
-from fluxtwin.scenarios.flights import (
-    ATTITUDES,
-    NAMES,
-    NEAR_NODE_DEG,
-    Numbers,
-    calibration_summary,
-    motion_of,
-    provenance,
-    rms_mG,
-    vector,
-    write_flight,
-)
+from fluxtwin.scenarios.flights import ATTITUDES, NEAR_NODE_DEG, Numbers, motion_of, provenance, write_flight
 from fluxtwin.scenarios.page import StudyResult
+from fluxtwin.scenarios.regression import NAMES, calibration_summary, rms_mG, vector
 from fluxtwin.scenarios.seasat import geometry, mission
 from fluxtwin.scenarios.seasat.calibration import check_identities, run_calibrations, run_errors
-from fluxtwin.scenarios.seasat.mission import DATA_SETS, PAPER_COLUMN, printed_value
+from fluxtwin.scenarios.seasat.mission import DATA_SETS, printed_value
 from fluxtwin.scenarios.seasat.yaw import SEEDS, STEP_S, run_accuracy, run_yaw
-from fluxtwin.scenarios.words import Words, motion_table
+from fluxtwin.scenarios.words import Words
 from fluxtwin.sim.base.progress import Progress, part_of, silent
 from fluxtwin.sim.base.types import FloatArray
-from fluxtwin.sim.earth.constants import EARTH_RADIUS_KM, GM_EARTH_KM3_S2, NT_PER_MG
+from fluxtwin.sim.earth import constants
+from fluxtwin.sim.earth.constants import NT_PER_MG
 from fluxtwin.sim.earth.field import load_field
-from fluxtwin.sim.scenario.scenario import Scenario
 
 
 def run(
@@ -62,7 +52,6 @@ def present(results: Numbers) -> StudyResult:
         "seasat",
         provenance(results.scenario),
         claims=said.judge(r=results),
-        made={"motion": motion_table(results.motion, said.say("pointing", r=results))},
         r=results,
     )
 
@@ -103,36 +92,24 @@ def words() -> Words:
     """The sections of `words.md`."""
     return Words(
         mission.PRINTED.package,
-        known=(calibration_summary, geometry, mission.quantity, pulls, rms_mG, vector),
+        "words.md",
+        "../studies.md",
+        known=(
+            *(calibration_summary, combinations, constants, geometry),
+            *(mission.quantity, printed_S, pulls, rms_mG, vector),
+        ),
         data_sets=list(DATA_SETS),
-        distance_from=lambda value, low, high: np.maximum(np.maximum(low - value, value - high), 0.0),
         names=NAMES,
         near_node_deg=NEAR_NODE_DEG,
-        period_min=_period_min,
-        print_of=_print_of,
-        printed_S=_printed_S,
         printed=printed_value,
-        samples_by_day=lambda study: tuple(len(study.fits[day].time) for day in ("205", "219", "225", "227")),
         seeds=SEEDS,
         size=mission.PRINTED.size,
         step_s=STEP_S,
-        sums_of=lambda days: {sum(chosen) for count in range(1, 5) for chosen in combinations(days, count)},
-        triple=lambda *quantities: np.array([printed_value("yaw", "value", quantity=name) for name in quantities]),
     )
 
 
-def _period_min(config: Scenario) -> float:
-    """Of a circular orbit about a point mass."""
-    assert config.orbit is not None and config.orbit.altitude_km is not None
-    radius_km = config.orbit.altitude_km + EARTH_RADIUS_KM
-    return float(2 * np.pi * np.sqrt(radius_km**3 / GM_EARTH_KM3_S2) / 60.0)
-
-
-def _print_of(parameter: str, data_set: str) -> float:
-    """Table 1; only its last column has signs for S."""
-    return printed_value("calibration", "value", parameter=parameter, data_set=PAPER_COLUMN[data_set])
-
-
-def _printed_S(sets: Sequence[str]) -> FloatArray:
-    """(D, 9) of Table 1."""
-    return np.array([[_print_of(name, data_set) for name in NAMES[:9]] for data_set in sets])
+def printed_S(sets: Sequence[str]) -> FloatArray:
+    """(D, 9) of Table 1; only its last column has signs."""
+    return np.array(
+        [[printed_value("calibration", "value", parameter=name, data_set=one) for name in NAMES[:9]] for one in sets]
+    )

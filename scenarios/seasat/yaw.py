@@ -12,16 +12,7 @@ from fluxtwin.calib.attitude.yaw import yaw_first_order, yaw_from_field, yaw_ful
 from fluxtwin.calib.common.records import Calibration
 from fluxtwin.calib.common.residuals import residuals_of
 from fluxtwin.plots.yaw import YawComparison
-from fluxtwin.scenarios.flights import (
-    Numbers,
-    compare_yaw,
-    day,
-    latitude_deg,
-    prescribed,
-    rms,
-    rms_along,
-    wrapped_deg,
-)
+from fluxtwin.scenarios.flights import Numbers, compare_yaw, day, latitude_deg, prescribed, rms, rms_along, wrapped_deg
 from fluxtwin.scenarios.seasat import mission
 from fluxtwin.scenarios.seasat.calibration import calibrations, reference_error_rad
 from fluxtwin.scenarios.seasat.geometry import CHECK_DAY, DATA_DAYS, DATA_MINUTES, SEMI_MAJOR_AXIS_KM

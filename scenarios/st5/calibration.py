@@ -25,7 +25,7 @@ from fluxtwin.calib.spin.sedlak import at, iterate
 from fluxtwin.calib.spin.start import blind_start
 from fluxtwin.scenarios.flights import Flight, Numbers, rms, rms_along
 from fluxtwin.scenarios.st5 import mission
-from fluxtwin.scenarios.st5.mission import Terms, attitude_error_deg, terms_of, truth_terms
+from fluxtwin.scenarios.st5.mission import attitude_error_deg, terms_of, truth_terms
 from fluxtwin.sim.base.errors import NoAnswer
 from fluxtwin.sim.base.progress import Progress, part_of, silent
 from fluxtwin.sim.base.random_streams import stream
@@ -270,7 +270,7 @@ def _axis(rng: np.random.Generator, sun_N: FloatArray) -> FloatArray:
             return axis
 
 
-def _one(config: Scenario, world: World, ground: FieldModel) -> tuple[Terms, float, float]:
+def _one(config: Scenario, world: World, ground: FieldModel) -> tuple[Numbers, float, float]:
     """Terms, normalised squared error of the 12 parameters, and RSS of the attitude [deg]."""
     flight = mission.fly(config, world)
     fit = fit_spin(assemble_spin(flight.telemetry, ground), options("batch"), model_name=ground.name)

@@ -6,7 +6,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from fluxtwin.calib.common.records import Calibration
 from fluxtwin.calib.spin.batch import Noise
 from fluxtwin.calib.spin.motion import turn_vector
 from fluxtwin.scenarios import flights
-from fluxtwin.scenarios.flights import Flight, Mission
+from fluxtwin.scenarios.flights import Flight, Mission, Numbers
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import frames
 from fluxtwin.sim.earth.constants import NT_PER_MG
@@ -62,31 +62,19 @@ def fly(config: Scenario, world: World | None = None) -> Flight:
     return replace(flight, telemetry=Telemetry(**kept, provenance=dict(whole.provenance)))
 
 
-class Terms(NamedTuple):
-    """b and v with their covariance (6, 6), mG and deg."""
-
-    b_mG: FloatArray
-    misalignment_deg: FloatArray
-    covariance: FloatArray
-
-    @property
-    def sigma(self) -> FloatArray:
-        """(6,) 1 sigma of b [mG] and v [deg]."""
-        return np.sqrt(np.diag(self.covariance))
-
-    @property
-    def values(self) -> FloatArray:
-        """(6,) b [mG] and v [deg]."""
-        return np.concatenate([self.b_mG, self.misalignment_deg])
-
-
-def terms_of(calibration: Calibration) -> Terms:
+def terms_of(calibration: Calibration) -> Numbers:
     """From S, b of equation 1. R is the rotation in (I+S)^-1; scale and non-orthogonality stay out of it."""
     x = calibration.values[:12]
     scale = np.where(np.arange(12) < 9, _STEP, _STEP * 1e5)
     slope = np.stack([(_terms(x + h) - _terms(x - h)) / (2.0 * h.max()) for h in np.diag(scale)], axis=1)
     values = _terms(x)
-    return Terms(values[:3], values[3:], slope @ calibration.covariance[:12, :12] @ slope.T)
+    return Numbers(
+        # (6,) b [mG] and v [deg], and 1 sigma.
+        values=values,
+        sigma=np.sqrt(np.diag(slope @ calibration.covariance[:12, :12] @ slope.T)),
+        b_mG=values[:3],
+        misalignment_deg=values[3:],
+    )
 
 
 def _terms(x: FloatArray) -> FloatArray:

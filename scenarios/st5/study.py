@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
-import numpy as np
 from scipy.stats import chi2
 
 from fluxtwin.calib.common.calibration_file import write_calibration
@@ -63,20 +62,11 @@ def words() -> Words:
     """The sections of `words.md`."""
     return Words(
         mission.PRINTED.package,
+        "words.md",
+        "../studies.md",
         chi2=chi2,
-        distances=_distances,
         names=NAMES,
         published=lambda: mission.published(),  # looked up when it is called
         terms_of=mission.terms_of,
         truth_terms=mission.truth_terms,
     )
-
-
-def _distances(
-    b_mG: object, misalignment_deg: object, truth: Mapping[str, object] | None = None
-) -> tuple[float, float]:
-    """Largest difference of b [mG] and misalignment [deg] from the abstract's truth."""
-    truth = mission.published() if truth is None else truth
-    pairs = ((b_mG, truth["b_mG"]), (misalignment_deg, truth["misalignment_deg"]))
-    off_b, off_v = (float(np.abs(np.asarray(ours, float) - np.asarray(theirs, float)).max()) for ours, theirs in pairs)
-    return off_b, off_v

@@ -184,4 +184,4 @@ def test_what_follows_sun_and_shadow_predicts_unseen_zones(flight: record.Flight
     assert np.median(np.array(boom.unseen_nT[dark]) / np.array(static.unseen_nT[dark])) < 0.5
     noise = max(local_noise_nT(zone, fit) for zone, fit in zip(flight.zones, own, strict=True))
     assert min(scaled.unseen_nT) > noise
-    assert study.lags_words(scaled.lags_s) == "300; 500"
+    assert study.words().say("lags", lags_s=scaled.lags_s) == "300; 500"

@@ -17,7 +17,6 @@ from fluxtwin.report import png_bytes, render_report
 from fluxtwin.scenarios.flight_field import study, tracks
 from fluxtwin.scenarios.flight_field import study as causes
 from fluxtwin.scenarios.flight_field.study import (
-    Independent,
     against_field,
     against_model,
     beside,
@@ -142,13 +141,13 @@ def test_a_mistake_is_not_reproduced(outcome: Numbers, name: str) -> None:
     assert max(abs(float(result.here or 0.0) - result.value) for result in results) > 5.0
 
 
-def findings_of(outcome: Numbers) -> dict[str, Independent]:
+def findings_of(outcome: Numbers) -> dict[str, Numbers]:
     found = beside(read_figures(), study.found_figures(outcome, SETTINGS), study.explanations(outcome))
     return {figure.id: figure for figure in found}
 
 
 def test_what_was_not_computed_is_not_testable() -> None:
-    figure = Independent("x", ("a", "b", "c", "rms", "N"), 10.0, "nT", 0.1, "10.0")
+    figure = Numbers(id="x", key=("a", "b", "c", "rms", "N"), value=10.0, unit="nT", last_digit=0.1, printed="10.0")
     assert beside([figure], {}, {"x": "no file"})[0].status == "not testable"
     assert beside([figure], {figure.key: 10.1}, {})[0].status == "reproduced"
     outside = beside([figure], {figure.key: 10.11}, {})[0]
@@ -195,7 +194,7 @@ def test_a_ring_current_of_one_nT(outcome: Numbers, close: Callable[..., None]) 
     equator = np.cross(pole, [0.0, 0.0, 1.0])
     place = 6371.2 * equator[None, :] / np.linalg.norm(equator)
     track = dataclasses.replace(outcome.magsat_at_stamps.track, r_E_km=place)
-    residual = dataclasses.replace(outcome.magsat_at_stamps, track=track)
+    residual = outcome.magsat_at_stamps.model_copy({"track": track})
     for share in (0.0, 0.27):
         field = causes.ring_current_NEC(model, residual, share)
         along = frames.rotation_NEC_E(place).inv().apply(field) @ pole

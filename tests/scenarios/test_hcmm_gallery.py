@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from fluxtwin.scenarios.hcmm import mission
-from fluxtwin.scenarios.hcmm.gallery import REGION_DEG, run_gallery
-from fluxtwin.scenarios.hcmm.study import gallery_page, gallery_summary
+from fluxtwin.scenarios.hcmm.gallery import FAULTS, REGION_DEG, run_gallery
+from fluxtwin.scenarios.hcmm.study import gallery_page, gallery_summary, words
 from fluxtwin.sim.base import files
 
 pytestmark = [pytest.mark.closure, pytest.mark.usefixtures("lawless")]
@@ -37,7 +37,7 @@ def test_each_fault_is_named_and_placed(answers, key, name, stage, condition, lo
     assert found.verdict == "effect"
     assert [effect.name for effect in found.effects] == [name]
     assert (found.where.stage, found.where.condition) == (stage, condition)
-    assert answers[key].located.startswith(located)
+    assert words().say("located_in", found=found).startswith(located)
 
 
 @pytest.mark.parametrize("key", ["a", "b", "c", "d"])
@@ -47,6 +47,11 @@ def test_each_is_closed_on_passes_that_were_not_used(answers, key):
     assert after < 1.15 * later.floor  # the noise of the slow errors is known to 15 %
     assert before > 1.5 * after
     assert len(later.labels) > 30
+
+
+def test_head_1_is_turned_as_in_the_scenario():
+    (turn,) = FAULTS["a"].changes.values()
+    assert tuple(turn) == tuple(mission.scenario().sun_sensor["1"].misalignment_deg)
 
 
 def test_the_turn_of_head_1_comes_back_as_far_as_the_angle_sees_it(answers, close):

@@ -11,15 +11,14 @@ import json
 import numpy as np
 import pytest
 
-from fluxtwin.scenarios.flights import NAMES, vector, vector_sigma
 from fluxtwin.scenarios.hcmm import mission, study
 from fluxtwin.scenarios.hcmm.calibration import SETS, choose_rows, sigma_ratio
 from fluxtwin.scenarios.hcmm.passes import ANOMALOUS, column_of, rms_of, run_dawn
-from fluxtwin.scenarios.hcmm.scanner import SCANS, WORST, with_horizon
-from fluxtwin.scenarios.hcmm.strength import NUMBERS
+from fluxtwin.scenarios.hcmm.scanner import EARTHS, SCANS, WORST, with_horizon
 from fluxtwin.scenarios.hcmm.study import pulls, words
 from fluxtwin.scenarios.hcmm.yaw import equation_11
-from fluxtwin.scenarios.words import STATUSES, counted
+from fluxtwin.scenarios.regression import NAMES, vector, vector_sigma
+from fluxtwin.scenarios.words import STATUSES
 from fluxtwin.sim.base import files
 
 pytestmark = pytest.mark.closure
@@ -57,7 +56,11 @@ def test_all_claims_are_judged_with_a_number_a_unit_and_a_reason(claims):
         assert any(character.isdigit() for character in claim.here)
         assert claim.why or claim.status not in ("differs", "not testable"), claim.id
     assert {status: {c.id for c in claims.values() if c.status == status} for status in STATUSES} == STATUS
-    assert counted(list(claims.values())).startswith("8 of 25 claims reproduced, 3 put in, 0 definitions, 14 differ")
+    assert (
+        words()
+        .say("counted", claims=list(claims.values()))
+        .startswith("8 of 25 claims reproduced, 3 put in, 0 definitions, 14 differ")
+    )
 
 
 RECOVERED = np.array(
@@ -171,7 +174,7 @@ def test_a_scanner_with_a_horizon_flies_as_the_study_has_it(results, close):
     )
     changes = {"horizon_scanner.earth": "infrared", "horizon_scanner.scans": "-y"}
     flown = mission.fly(small.updated(changes)).telemetry.nadir_B
-    made = with_horizon(mission.fly(small), SCANS["one, towards the sun"], WORST).telemetry.nadir_B
+    made = with_horizon(mission.fly(small), SCANS["one, towards the sun"], **EARTHS[WORST]).telemetry.nadir_B
     close(flown, made, atol=1e-12, unit="1", because="the same numbers in another order")
 
 
@@ -191,7 +194,7 @@ def test_the_horizon_can_make_the_factor_of_two_and_so_can_its_nulls(results, cl
 def test_of_what_may_be_missing_only_noise_is_not_excluded_by_the_calibrations(results, claims):
     m = results.missing
     excluded = {one.name.split(",")[0]: one.excluded for one in m.hypotheses}
-    calibration = NUMBERS[-1]
+    calibration = m.names[-1]
     assert calibration not in excluded["white noise"]
     for name in ("nothing more", "drifting bias", "field model"):
         assert calibration in excluded[name]

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fluxtwin.scenarios.hcmm_orbit.geometry import Grid, Sky, fix_windows, turning_ends
+from fluxtwin.scenarios.flights import Numbers
+from fluxtwin.scenarios.hcmm_orbit.geometry import fix_windows, turning_ends
 
 pytestmark = pytest.mark.property
 
@@ -15,10 +16,8 @@ MINUTES = np.arange(-8.0, 22.1, 0.25)
 def one_pass(angle):
     """A pass visible from 0 to 12 min with the given angle at every minute of the grid."""
     elevation = 40.0 - ((MINUTES - 6.0) / 6.0) ** 2 * 40.0
-    grid = Grid.__new__(Grid)
-    object.__setattr__(grid, "minutes", MINUTES)
-    object.__setattr__(grid, "passes", (None,))
-    return grid, Sky(angle(MINUTES)[None, :], elevation[None, :])
+    grid = Numbers(minutes=MINUTES, passes=(None,))
+    return grid, Numbers(sun_nadir_deg=angle(MINUTES)[None, :], elevation_deg=elevation[None, :])
 
 
 @pytest.mark.parametrize("rate", [3.6, -3.6])

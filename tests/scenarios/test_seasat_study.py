@@ -13,10 +13,10 @@ import json
 import numpy as np
 import pytest
 
-from fluxtwin.scenarios.flights import vector
+from fluxtwin.scenarios.regression import vector
 from fluxtwin.scenarios.seasat import geometry, mission, study
 from fluxtwin.scenarios.seasat.study import words
-from fluxtwin.scenarios.words import STATUSES, counted
+from fluxtwin.scenarios.words import STATUSES
 from fluxtwin.sim.base import files
 
 pytestmark = pytest.mark.closure
@@ -68,7 +68,7 @@ def test_all_claims_are_judged_with_a_number_a_unit_and_a_reason(claims):
         assert any(character.isdigit() for character in claim.here)
         assert claim.why or claim.status not in ("differs", "not testable"), claim.id
     assert {status: {c.id for c in claims.values() if c.status == status} for status in STATUSES} == STATUS
-    assert counted(list(claims.values())) == (
+    assert words().say("counted", claims=list(claims.values())) == (
         "8 of 32 claims reproduced, 6 put in, 6 definitions, 9 differ, 3 not testable"
     )
 

@@ -22,7 +22,7 @@ from fluxtwin.scenarios.st5 import mission, study
 from fluxtwin.scenarios.st5.calibration import filtered, options, settings
 from fluxtwin.scenarios.st5.mission import terms_of, truth_terms
 from fluxtwin.scenarios.st5.study import words
-from fluxtwin.scenarios.words import Claim, counted
+from fluxtwin.scenarios.words import Claim
 from fluxtwin.sim.earth.field import load_field
 
 pytestmark = pytest.mark.closure
@@ -139,7 +139,7 @@ STATUS = {55: "put in", 56: "differs", 57: "reproduced", 58: "put in"}
 
 def test_every_claim_has_its_status_a_number_and_a_reason(claims: dict[int, Claim]) -> None:
     assert {number: claim.status for number, claim in claims.items()} == STATUS
-    assert counted(list(claims.values())) == (
+    assert words().say("counted", claims=list(claims.values())) == (
         "1 of 4 claims reproduced, 2 put in, 0 definitions, 1 differs, 0 not testable"
     )
     assert all(claim.why for claim in claims.values() if claim.status != "reproduced")

@@ -8,11 +8,12 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from fluxtwin.scenarios.flights import Numbers, motion_of, prescribed, truth_vector, vector
+from fluxtwin.scenarios.flights import Numbers, motion_of, prescribed
 from fluxtwin.scenarios.hcmm import mission as hcmm
 from fluxtwin.scenarios.hcmm.calibration import choose_rows, fit_rows, with_random_phase
+from fluxtwin.scenarios.regression import truth_vector, vector
 from fluxtwin.scenarios.seasat import mission as seasat
-from fluxtwin.scenarios.words import motion_table
+from fluxtwin.scenarios.words import Words
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.earth.field import load_field
 from fluxtwin.sim.scenario.scenario import Scenario, parse_scenario
@@ -100,7 +101,8 @@ def test_the_prescribed_motion_stays_an_option(mission: ModuleType) -> None:
     flight = mission.fly(config)
     assert flight.telemetry.wheel_speed_rpm is None
     found = motion_of(flight)
-    assert found.attitude == "prescribed" and "prescribed" in motion_table(found, "").title
+    table = Words("fluxtwin.scenarios", "studies.md").table("motion", r=Numbers(motion=found), note="")
+    assert found.attitude == "prescribed" and "prescribed" in table.title
     assert config.attitude.yaw_rms_deg / 2 < found.rms_deg["yaw"] < 2 * config.attitude.yaw_rms_deg
     with pytest.raises(BadInput, match="dynamics or prescribed"):
         mission.scenario("free")

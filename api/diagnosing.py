@@ -18,7 +18,7 @@ from fluxtwin.gap.held_out import closing, transfer
 from fluxtwin.gap.held_out.closing import Declared as Declared
 from fluxtwin.gap.held_out.closing import TakenOut, without_effects
 from fluxtwin.gap.planning.designs import base_tree
-from fluxtwin.gap.problem.problem import DEFAULT_MODELLED, Budget
+from fluxtwin.gap.problem.problem import DEFAULT_MODELLED, Budget, Roll
 from fluxtwin.gap.records.diagnosis import Diagnosis
 from fluxtwin.gap.report import input_warnings, words
 from fluxtwin.notebook import usual
@@ -236,17 +236,21 @@ def _require_something(record: Telemetry) -> None:
 
 def budget_of(config: Scenario | None, frozen: tuple[Active, ...], declared: Declared) -> Budget:
     """What is declared, the rest from the scenario."""
-    known = declared
+    known, roll = declared, None
     if config is not None:
         reference = config.attitude.reference
         stated: dict[str, Any] = {"noise_nT": config.magnetometer.white_nT, "lsb_nT": config.magnetometer.step_nT}
         if declared.attitude_sigma_deg is None and reference.source == "error_model":
             stated |= {"attitude_sigma_deg": reference.sigma_deg, "attitude_tau_s": reference.tau_s}
+        tracker = config.star_tracker
+        if declared.attitude_sigma_deg is None and tracker is not None and tracker.noise_arcsec > 0.0:
+            stated |= {"attitude_sigma_deg": tracker.sigma_deg, "attitude_tau_s": 0.0}
+            roll = Roll(tracker.unit_B, tracker.roll_noise_arcsec / tracker.noise_arcsec)
         known = replace(declared, **{name: value for name, value in stated.items() if getattr(declared, name) is None})
     sources = {} if config is None else {name: "scenario" for name in _MOST if getattr(declared, name) is None}
     sigma_rad = None if known.attitude_sigma_deg is None else float(np.radians(known.attitude_sigma_deg))
     white = with_frozen_noise(frozen, known.noise_nT, known.lsb_nT)
-    return Budget(*white, sigma_rad, known.attitude_tau_s, sources)
+    return Budget(*white, sigma_rad, known.attitude_tau_s, roll, sources)
 
 
 def frozen(config: Scenario) -> tuple[Active, ...]:

@@ -22,7 +22,7 @@ from fluxtwin.gap.planning import questions
 from fluxtwin.gap.planning.designs import Design, LimitsFile, LimitsSection, designs
 from fluxtwin.gap.planning.power import Flown
 from fluxtwin.gap.planning.questions import choose, shortened
-from fluxtwin.gap.problem.problem import DEFAULT_MODELLED, Budget, pose
+from fluxtwin.gap.problem.problem import ALIKE, DEFAULT_MODELLED, pose
 from fluxtwin.gap.records.diagnosis import Diagnosis, diagnosis_schema
 from fluxtwin.gap.records.plan import CalibrationPlan, Plan, Question, SigmaCourse
 from fluxtwin.notebook import usual
@@ -288,11 +288,11 @@ class View:
     ) -> None:
         self.modelled = modelled
         self.model = load_field(field or base.field.model, base.field.degree if degree is None else degree)
-        section, reference = base.magnetometer, base.attitude.reference
-        sigma_rad = float(np.radians(reference.sigma_deg))
-        self.budget = Budget(section.white_nT, section.step_nT, sigma_rad, reference.tau_s)
+        section, known = base.magnetometer, diagnosing.budget_of(base, (), diagnosing.Declared())
+        sigma_rad, tau_s = known.attitude_sigma_rad or 0.0, known.attitude_tau_s or 0.0
+        self.budget = replace(known, attitude_sigma_rad=sigma_rad, attitude_tau_s=tau_s)
         white = float(np.hypot(section.white_nT, section.step_nT / np.sqrt(12.0)))
-        self.noise = NoiseModel(max(white, 1e-3), sigma_rad, reference.tau_s)
+        self.noise = NoiseModel(max(white, 1e-3), sigma_rad, tau_s, roll=known.attitude_roll or ALIKE)
 
     def flown(self, record: Telemetry, scenario: Scenario) -> Flown:
         """What a diagnosis of a record would see, given the scenario that it was flown by."""

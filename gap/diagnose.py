@@ -319,7 +319,7 @@ def _attitude_would_do(problem: Problem, answer: Answer, dictionary: Dictionary)
     if residual_structure(problem, whitener, answer.result.residual_nT, answer.fitted_nT, dictionary).structured:
         return None
     rest = problem.in_row_axes(answer.result.residual_nT)[~answer.robust.cut.any(axis=1)]
-    reach = floor_rms_nT(problem.noise_field_nT, 0.0, 1.0, problem.measured)
+    reach = floor_rms_nT(problem.noise_field_nT, 0.0, 1.0, problem.measured, answer.noise.roll)
     excess = max(float(np.mean(rest**2)) - float(np.mean(answer.noise.white_nT**2)), 0.0)
     return float(np.sqrt(excess)) / max(reach, 1e-9)
 
@@ -386,7 +386,8 @@ def _prediction(
     result, noise, axes, seconds = answer.result, answer.noise, problem.axes, problem.setting.seconds
     kept: BoolArray = ~np.any(answer.robust.cut, axis=1)
     white_nT, theta_rad = floor_noise(flexible, noise, problem.budget)
-    with_effects_nT = floor_rms_nT(problem.noise_field_nT[kept], white_nT, theta_rad, problem.measured[kept])
+    about = (problem.measured[kept], noise.roll)
+    with_effects_nT = floor_rms_nT(problem.noise_field_nT[kept], white_nT, theta_rad, *about)
     floor_nT = float(np.sqrt(max(with_effects_nT**2 - stochastic_nT(flexible, noise, declared_lsb_nT) ** 2, 0.0)))
     own = answer.fitted_nT[:, :, answer.alone_nT.shape[2] :]
     both = np.concatenate([answer.alone_nT, own], axis=2)

@@ -18,8 +18,8 @@ from scipy.stats import halfnorm, norm
 
 from fluxtwin.gap.hypotheses.candidates import SLOW_S
 from fluxtwin.gap.linear.projection import Whitens
-from fluxtwin.gap.problem.problem import Problem
-from fluxtwin.gap.problem.row_axes import RowAxes
+from fluxtwin.gap.problem.problem import ALIKE, Problem, Roll
+from fluxtwin.gap.problem.row_axes import RowAxes, turn_images
 from fluxtwin.gap.records.diagnosis import GapSeries, Shrinkage
 from fluxtwin.gap.selection.criterion import SHAPE_ERROR
 from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
@@ -267,12 +267,17 @@ def closed_share(
     return closed, (min(float(low), closed), max(float(high), closed))
 
 
-def floor_rms_nT(field_nT: FloatArray, sigma_nT: float, theta_rad: float, measured: BoolArray | None = None) -> float:
+def floor_rms_nT(
+    field_nT: FloatArray, sigma_nT: float, theta_rad: float, measured: BoolArray | None = None, roll: Roll = ALIKE
+) -> float:
     """rms per component that white noise and an attitude error theta per axis leave: theta x B has two components.
 
     field_nT (N, 3) that the error acts on; measured (N, 3), in the same axes: components that count, default all.
+    roll: how the error differs from axis to axis.
     """
     reached = np.sum(field_nT**2, axis=1)[:, None] - field_nT**2
+    if roll.factor != 1.0:
+        reached = np.sum((turn_images(field_nT) @ roll.turns) ** 2, axis=2)
     mean = np.mean(reached if measured is None else reached[measured])
     return float(np.sqrt(sigma_nT**2 + theta_rad**2 * mean))
 

@@ -257,7 +257,7 @@ class _Design:
         self.nuisance = jacobians(self.chain, closure.modelled, [*closure.problem.frozen, *chosen])
         self.nuisance_white = self.whitener.apply(self.nuisance) if closure.modelled else self.nuisance
         self.basis = orthonormal(self.nuisance_white)
-        self.floor_nT = floor_rms_nT(field, noise.white_rms_nT, noise.theta_rad)
+        self.floor_nT = floor_rms_nT(field, noise.white_rms_nT, noise.theta_rad, roll=noise.roll)
 
     def reading(self, old: SignalEffect, new: SignalEffect, theta: FloatArray) -> FloatArray:
         """(N, 3) noise-free reading with the effect `new` in place of `old`."""

@@ -219,7 +219,7 @@ class _Search:
         problem = self.problem
         kept = ~np.any(choice.robust.cut, axis=1)
         noise, measured = choice.noise, problem.measured[kept]
-        floor_nT = floor_rms_nT(problem.noise_field_nT[kept], noise.white_rms_nT, noise.theta_rad, measured)
+        floor_nT = floor_rms_nT(problem.noise_field_nT[kept], noise.white_rms_nT, noise.theta_rad, measured, noise.roll)
         before = Fitted.of(problem, whitener, self.base.residual_nT, self.base.fitted_nT)
         after = Fitted.of(problem, whitener, residual_nT, columns_nT)
         held = predict_blocks(problem.setting.seconds, kept, floor_nT, before, after, problem.measured)

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -29,7 +30,7 @@ from fluxtwin.gap.noise.robust_rows import first_weights, spike_weights
 from fluxtwin.gap.noise.whitening import NoiseModel as NoiseModel
 from fluxtwin.gap.noise.whitening import Whitener as Whitener
 from fluxtwin.gap.noise.whitening import make_whitener
-from fluxtwin.gap.problem.problem import Budget, Problem
+from fluxtwin.gap.problem.problem import Budget, Problem, Roll
 from fluxtwin.gap.problem.row_axes import RowAxes
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.effects.chain import Active
@@ -68,6 +69,12 @@ that miss the best of them by half a unit of chi-square."""
 _HOPELESS = 6.0
 """In log likelihood: an error without memory that is so far behind at the ratio of one with memory is left alone."""
 _ROUNDS = 4  # of noise and spikes in turn; two settle all but records with many bit errors
+_EVEN = NoiseModel(1.0, 0.0, 0.0)
+_AXES = [np.array(one) / np.linalg.norm(one) for one in product(range(-2, 3), repeat=3) if one > (0, 0, 0)]
+"""Of each pair of opposite directions one, 18 deg or less from any other direction."""
+_FACTORS = (3.0, 10.0)
+"""What stars tell worse about the boresight than across it: Liebe 2002 has 6 to 16 for fields of 8 to 20 deg."""
+_SHARES = np.geomspace(0.1, 100.0, 13)
 _UNEVEN = 1.25  # axes whose white noise differs by more get a factor each: less costs at most 5 % (Kantorovich's bound)
 
 
@@ -82,6 +89,8 @@ class NoisePrior:
     theta_log_sd: float = ATTITUDE_LOG_SD
     tau_s: float | None = None
     """Declared time constant; None leaves it to the data, white included."""
+    roll: Roll | None = None
+    """Declared; None leaves it to the data."""
 
     def log_density(self, sigma_nT: float, theta_rad: float, tau_s: float) -> float:
         """Log of the prior at a point, without its constant; a theta or tau of zero has the peak's."""
@@ -125,7 +134,7 @@ def complete_budget(problem: Problem) -> Budget:
         sources.setdefault("noise_nT", DECLARED)
     for name in ("attitude_sigma_rad", "attitude_tau_s"):
         sources.setdefault(name, NOT_KNOWN if getattr(given, name) is None else DECLARED)
-    return Budget(noise, lsb, given.attitude_sigma_rad, given.attitude_tau_s, sources)
+    return replace(given, noise_nT=noise, lsb_nT=lsb, sources=sources)
 
 
 def prior_of(budget: Budget) -> NoisePrior:
@@ -138,6 +147,7 @@ def prior_of(budget: Budget) -> NoisePrior:
         sigma_log_sd=_WIDE_LOG_SD if guessed else NOISE_LOG_SD,
         theta_rad=budget.attitude_sigma_rad,
         tau_s=budget.attitude_tau_s,
+        roll=budget.attitude_roll,
     )
 
 
@@ -231,11 +241,12 @@ class Likelihood:
         self,
         data: Data,
         prior: NoisePrior,
-        axis_factor: tuple[float, float, float] = (1.0, 1.0, 1.0),
+        like: NoiseModel = _EVEN,
         walk: float = 0.0,
     ) -> None:
-        """walk: rate of a bias that walks, over sigma [1/sqrt(s)]."""
-        self.data, self.prior, self.axis_factor, self.walk = data, prior, axis_factor, walk
+        """like: how the axes differ, in noise and in attitude error; walk: rate of a bias that walks, over sigma
+        [1/sqrt(s)]."""
+        self.data, self.prior, self.like, self.walk = data, prior, like, walk
         there = data.weights > 0
         flat = np.where(there[:, :, None], data.design, 0.0).reshape(there.size, -1)
         # A column must have more of its energy beside others than the attitude error that it was made with.
@@ -268,7 +279,7 @@ class Likelihood:
     def at(self, ratio: float, tau_s: float) -> Choice:
         """The best sigma at a ratio (theta times field over sigma) and a time constant."""
         data, rank = self.data, self.span.rank
-        unit = NoiseModel(1.0, ratio / self.field_nT, tau_s, axis_factor=self.axis_factor)
+        unit = replace(self.like, sigma_nT=1.0, theta_rad=ratio / self.field_nT, tau_s=tau_s)
         whitener = self.whitener(unit, data.weights)
         white = whitener.apply_in_row_axes(self.stacked, turned=False).reshape(-1, rank + 1)
         gram = white.T @ white
@@ -283,7 +294,7 @@ class Likelihood:
         sigma = float(np.exp(log_sigma))
         log_det = whitener.log_det + 2.0 * float(np.log(np.diag(L)).sum())
         fit = -0.5 * (log_det + 2.0 * self.dof * log_sigma + rss / sigma**2)
-        noise = NoiseModel(sigma, ratio * sigma / self.field_nT, tau_s, axis_factor=self.axis_factor)
+        noise = replace(unit, sigma_nT=sigma, theta_rad=ratio * sigma / self.field_nT)
         return Choice(noise, fit + self.prior.log_density(sigma, noise.theta_rad, tau_s), along)
 
     def _best_sigma(self, rss: float, ratio: float) -> float:
@@ -425,7 +436,10 @@ def noise_words(noise: NoiseModel) -> str:
     if noise.theta_rad <= 0:
         return f"{white}, no attitude error"
     memory = "white" if noise.tau_s <= 0 else f"over {noise.tau_s:.3g} s"
-    return f"{white}, attitude error {np.degrees(noise.theta_rad):.2g} deg per axis, {memory}"
+    roll, where = noise.roll, ""
+    if roll.factor != 1.0:
+        where = f", {roll.factor:.3g} times as large about ({', '.join(f'{v:.2f}' for v in roll.axis)}) as across it"
+    return f"{white}, attitude error {np.degrees(noise.theta_rad):.2g} deg per axis{where}, {memory}"
 
 
 class NoiseChoice(NamedTuple):
@@ -478,7 +492,8 @@ def likely_noises(
     weights = whitener.weights * noise.axis_variance(whitener.axes)
     design = _affordable([problem.in_row_axes(columns)], int((weights > 0).sum()))
     data = Data(problem.in_row_axes(residual_nT), design, *where, weights, problem.axes)
-    return noises_about(Likelihood(data, prior, noise.axis_factor, walk), noise)
+    like = replace(_EVEN, axis_factor=noise.axis_factor, roll=noise.roll)
+    return noises_about(Likelihood(data, prior, like, walk), noise)
 
 
 def whitener_of(problem: Problem, noise: NoiseModel, weights: FloatArray | None) -> Whitener:
@@ -505,19 +520,22 @@ def select_noise(
     if not image_nT.any():
         prior = replace(prior, theta_rad=0.0)  # nothing that an attitude error could act on
     weights = first_weights(residual_nT, design, there)
-    factor = (1.0, 1.0, 1.0)
+    like = _EVEN if prior.roll is None else replace(_EVEN, roll=prior.roll)
+    whole = np.asarray(there.all(axis=1), dtype=np.bool_)
     choice: Choice | None = None
     difference = residual_nT
     for _ in range(_ROUNDS):
         data = Data(residual_nT, design, image_nT, seconds, segment, weights, axes)
-        likelihood = Likelihood(data, prior, factor, walk)
+        likelihood = Likelihood(data, prior, like, walk)
         choice = best_noise(likelihood, None if choice is None else choice.noise)
         left = likelihood.left_nT(choice)
         again, difference = spike_weights(left, likelihood.whitener(choice.noise, weights, covariance=True), there)
         whitener = likelihood.whitener(choice.noise, again)
-        uneven = _axis_factor(whitener, left, factor, np.asarray(there.all(axis=1), dtype=np.bool_))
-        settled = np.array_equal(again <= 0, weights <= 0) and uneven == factor
-        weights, factor = again, uneven
+        uneven = replace(like, axis_factor=_axis_factor(whitener, left, like.axis_factor, whole))
+        if uneven != like and like == _EVEN and prior.roll is None and prior.theta_rad != 0.0:
+            uneven = _likelier(likelihood, choice.noise, uneven, _rolls(left[whole], image_nT[whole]))
+        settled = np.array_equal(again <= 0, weights <= 0) and uneven == like
+        weights, like = again, uneven
         if settled:
             break
     assert choice is not None
@@ -549,3 +567,29 @@ def _axis_factor(
     factor = np.asarray(now) * size
     factor = factor / np.exp(np.mean(np.log(factor)))
     return (float(factor[0]), float(factor[1]), float(factor[2]))
+
+
+def _likelier(likelihood: Likelihood, start: NoiseModel, uneven: NoiseModel, rolls: Sequence[Roll]) -> NoiseModel:
+    """Of axes that differ in noise and an attitude error that is larger about one axis, what the data have rather: both are
+    known by their scatter alone, but the error leaves alone what lies along the field, and that axis."""
+    trials = [uneven, *(replace(_EVEN, roll=roll) for roll in rolls)]
+    chosen = [best_noise(Likelihood(likelihood.data, likelihood.prior, one, likelihood.walk), start) for one in trials]
+    # An axis and a factor are one number more than two ratios of the noise.
+    lead = [one.log_posterior - 0.5 * np.log(likelihood.dof) * (place > 0) for place, one in enumerate(chosen)]
+    return trials[int(np.argmax(lead))]
+
+
+def _rolls(left_nT: FloatArray, image_nT: FloatArray) -> list[Roll]:
+    """The likeliest axis of white turns, beside white noise, in residuals (N, 3) with images (N, 3, 3) of a turn, with the
+    factors that are tried."""
+    energy, best = float(np.sum(left_nT**2)), (-np.inf, _AXES[0])
+    size = float(np.mean(np.sum(image_nT**2, axis=(1, 2)))) / 2.0
+    for axis in _AXES:
+        turned = image_nT @ axis
+        along, reach = np.sum(left_nT * turned, axis=1) ** 2, np.sum(turned**2, axis=1)
+        for share in _SHARES / max(size, 1e-9):
+            variance = (energy - np.sum(share * along / (1.0 + share * reach))) / left_nT.size
+            log = -left_nT.size * np.log(variance) - np.sum(np.log1p(share * reach))
+            best = max(best, (float(log), axis), key=lambda one: one[0])
+    axis = (float(best[1][0]), float(best[1][1]), float(best[1][2]))
+    return [Roll(axis, factor) for factor in _FACTORS]

@@ -26,6 +26,7 @@ from scipy.optimize import minimize_scalar
 
 from fluxtwin.calib.common.criterion import THRESHOLD, samples_of, worth
 from fluxtwin.gap.linear.projection import span_of
+from fluxtwin.gap.problem.problem import ALIKE, Roll
 from fluxtwin.gap.problem.row_axes import RowAxes
 from fluxtwin.sim.base.processes import stop_if_asked
 from fluxtwin.sim.base.types import FloatArray
@@ -43,12 +44,14 @@ class NoiseModel:
     sigma_nT: float
     """White noise of a reading, 1 sigma per axis, rounding (LSB**2 / 12) included."""
     theta_rad: float
-    """Error of the reference attitude, 1 sigma per body axis."""
+    """Error of the reference attitude, 1 sigma per body axis; rms over the axes."""
     tau_s: float
     """Its time constant; 0: white."""
     words: str = ""
     axis_factor: tuple[float, float, float] = (1.0, 1.0, 1.0)
     """White noise of each body axis over sigma_nT; ones unless the axes differ by more than a quarter."""
+    roll: Roll = ALIKE
+    """How the attitude error differs from axis to axis."""
     sigma_log_sd: float = 0.0
     """Standard deviation of log sigma: data and declared budget together."""
     theta_log_sd: float = 0.0
@@ -145,6 +148,8 @@ def make_whitener(
     if axes is not None:
         full = np.where(axes.measured, full, 0.0)
     load = np.asarray(image_nT, dtype=np.float64) * (noise.theta_rad / noise.sigma_nT)
+    if noise.roll.factor != 1.0:
+        load = load @ noise.roll.turns
     decay = np.zeros(rows)
     if noise.tau_s > 0:
         same = np.diff(segment, prepend=np.nan) == 0

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -36,6 +37,25 @@ _OTHER_STAMPS = np.timedelta64(1, "D")  # so far beyond the model's ends a clock
 _LARGEST_ERROR = 5.0  # times its sigma: what an attitude error is taken to be at the most
 
 
+class Roll(NamedTuple):
+    """An error of the reference attitude that is larger about one axis, as a star tracker's is about its boresight."""
+
+    axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    """A unit vector in body axes."""
+    factor: float = 1.0
+    """The error about it over that about each axis across it."""
+
+    @property
+    def turns(self) -> FloatArray:
+        """(3, 3) that makes it of an error that is alike about all axes, with the same rms over the axes."""
+        about = np.outer(self.axis, self.axis)
+        return np.asarray((np.eye(3) + (self.factor - 1.0) * about) * np.sqrt(3.0 / (2.0 + self.factor**2)))
+
+
+ALIKE = Roll()
+"""About all axes."""
+
+
 @dataclass(frozen=True)
 class Budget:
     """The declared noise, and how far it is trusted. None where nothing was declared."""
@@ -47,6 +67,8 @@ class Budget:
     """Error of the reference attitude, 1 sigma per axis; trusted to a factor 1.5."""
     attitude_tau_s: float | None = None
     """Its time constant; unknown by default, white included."""
+    attitude_roll: Roll | None = None
+    """Unknown by default."""
     sources: Mapping[str, str] | None = None
     """Where each comes from, in words."""
 

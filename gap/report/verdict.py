@@ -425,7 +425,7 @@ def beyond_budget(problem: Problem, answer: Answer) -> Excess | None:
 
     def expected_nT(noise_trust: float, attitude_trust: float) -> float:
         theta_rad = attitude_trust * (declared.attitude_sigma_rad or 0.0)
-        return floor_rms_nT(field_nT, noise_trust * noise.sigma_prior_nT, theta_rad, measured)
+        return floor_rms_nT(field_nT, noise_trust * noise.sigma_prior_nT, theta_rad, measured, noise.roll)
 
     prior = prior_of(complete_budget(problem))
     most_nT = expected_nT(float(np.exp(2.0 * prior.sigma_log_sd)), float(np.exp(prior.theta_log_sd)))
@@ -435,7 +435,8 @@ def beyond_budget(problem: Problem, answer: Answer) -> Excess | None:
         return None
     said = f"the residual of the fit is {found_nT:.1f} nT rms, where {expected_nT(1.0, 1.0):.1f} nT were expected"
     whiter = noise.white_rms_nT**2 - noise.sigma_prior_nT**2
-    turned = [floor_rms_nT(field_nT, 0.0, rad, measured) ** 2 for rad in (noise.theta_rad, declared.attitude_sigma_rad)]
+    errors_rad = (noise.theta_rad, declared.attitude_sigma_rad)
+    turned = [floor_rms_nT(field_nT, 0.0, rad, measured, noise.roll) ** 2 for rad in errors_rad]
     if turned[0] - turned[1] <= whiter:
         return Excess("sensor", said)
     return Excess("attitude", f"{words.attitude_error(noise, declared.attitude_sigma_rad)}: {said}")

@@ -38,9 +38,16 @@ class StarTrackerSection(SensorSection):
     max_rate_deg_s: Positive | None = None
     """No attitude while the body turns faster across the boresight."""
 
+    @property
+    def sigma_deg(self) -> float:
+        """Error of an attitude per axis, rms over the axes."""
+        return float(
+            np.degrees(_RAD_PER_ARCSEC * np.sqrt((2.0 * self.noise_arcsec**2 + self.roll_noise_arcsec**2) / 3.0))
+        )
+
     def measure(self, around: Surroundings, rng: np.random.Generator) -> dict[str, FloatArray]:
         """q_NB (N, 4), NaN in the rows without an attitude."""
-        boresight = self._unit_B
+        boresight = np.asarray(self.unit_B)
         draws = rng.standard_normal((around.time.size, 3))
         about = (draws @ boresight)[:, None] * boresight
         turn = _RAD_PER_ARCSEC * (self.noise_arcsec * (draws - about) + self.roll_noise_arcsec * about)
@@ -49,11 +56,13 @@ class StarTrackerSection(SensorSection):
         return {"q_NB": q_NB}
 
     @property
-    def _unit_B(self) -> FloatArray:
-        return np.asarray(np.asarray(self.boresight_B) / np.linalg.norm(self.boresight_B))
+    def unit_B(self) -> tuple[float, float, float]:
+        """The boresight as a unit vector."""
+        x, y, z = (np.asarray(self.boresight_B) / np.linalg.norm(self.boresight_B)).tolist()
+        return x, y, z
 
     def sees(self, around: Surroundings) -> BoolArray:
-        boresight = self._unit_B
+        boresight = np.asarray(self.unit_B)
         boresight_N = around.R_BN.inv().apply(boresight)
         from_sun = frames.angle_between(boresight_N, around.sun_N)
         from_nadir = frames.angle_between(boresight_N, around.nadir_N)

@@ -9,7 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tomli_w
+from worlds import scenario_text
 
+import fluxtwin
 from fluxtwin.gap.diagnose import diagnose
 from fluxtwin.gap.held_out.held_out import Fitted, predict_blocks
 from fluxtwin.gap.noise.whitening import NoiseModel, make_whitener
@@ -311,3 +313,33 @@ def test_wrong_readings_close_no_share_of_a_gap(record: Telemetry) -> None:
     found = asked(record.replace(mag_B_nT=reading), declared)
     assert [one.name for one in found.effects] == ["bit_errors"]
     assert "the wrong readings are excluded from the figures" in found.sentence and "closes" not in found.sentence
+
+
+@pytest.mark.parametrize("with_scenario", [False, True])
+def test_the_roll_of_a_star_tracker_is_no_noise_of_the_magnetometer(with_scenario: bool) -> None:
+    text = scenario_text(
+        """
+[attitude]
+mode = "earth_pointing"
+yaw_rms_deg = 6.0
+roll_rms_deg = 6.0
+pitch_rms_deg = 6.0
+[attitude.reference]
+source = "star_tracker"
+[star_tracker]
+noise_arcsec = 72.0
+roll_noise_arcsec = 360.0
+[magnetometer]
+S = [[0.01, 0.002, 0.0], [0.0, -0.01, 0.0], [0.001, 0.0, 0.02]]
+b_nT = [900.0, -500.0, 250.0]
+noise_nT = 20.0
+lsb_nT = 10.0
+""",
+        seed=1,
+        segment="duration_min = 300.0, step_s = 20.0",
+    )
+    scenario = parse_scenario(text)
+    record, _ = simulate(scenario)
+    found = fluxtwin.diagnose(record, scenario=scenario if with_scenario else None)
+    assert found.verdict == "no_gap"
+    assert found.gap.before_nT == pytest.approx(found.gap.floor_nT, rel=0.05)  # 0.6 % by chance of 2,700 readings

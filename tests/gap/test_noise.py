@@ -34,7 +34,7 @@ from fluxtwin.gap.noise.choice import (
 from fluxtwin.gap.noise.kernels import predict_each
 from fluxtwin.gap.noise.robust_rows import first_weights, spike_weights, standing_out, weights_of
 from fluxtwin.gap.noise.whitening import NoiseModel, Whitener, make_whitener, with_walk
-from fluxtwin.gap.problem.problem import Budget, Problem, pose
+from fluxtwin.gap.problem.problem import ALIKE, Budget, Problem, Roll, pose
 from fluxtwin.gap.problem.row_axes import turn_images
 from fluxtwin.sim.earth import frames
 from fluxtwin.sim.earth.field import field_N_nT, load_field
@@ -126,14 +126,16 @@ def chosen(w: World, prior: NoisePrior) -> NoiseModel:
 MODELS = [(0.0, 0.0), (2.6e-3, 0.0), (2.6e-3, 60.0), (2.6e-3, 600.0), (1e-4, 150.0)]
 
 
-def dense_attitude(w: World, theta: float, tau: float) -> np.ndarray:
+def dense_attitude(w: World, theta: float, tau: float, roll: Roll = ALIKE) -> np.ndarray:
     """(3N, 3N) covariance of theta x B."""
     n = w.seconds.size
     lag = np.abs(w.seconds[:, None] - w.seconds[None, :])
     kept = np.exp(-lag / tau) if tau > 0 else np.eye(n)
     kept = np.where(w.segment[:, None] == w.segment[None, :], kept, 0.0)
     turn = np.cross(np.eye(3)[None, :, :], w.field[:, None, :])  # [t, k] = e_k x B
-    return theta**2 * np.einsum("tki,skj,ts->tisj", turn, turn, kept).reshape(3 * n, 3 * n)
+    across = np.eye(3) - np.outer(roll.axis, roll.axis)
+    C = 3.0 * (across + roll.factor**2 * np.outer(roll.axis, roll.axis)) / (2.0 + roll.factor**2)
+    return theta**2 * np.einsum("tki,kl,slj,ts->tisj", turn, C, turn, kept).reshape(3 * n, 3 * n)
 
 
 def weights_for(rows: int, rng: np.random.Generator) -> np.ndarray:
@@ -144,20 +146,23 @@ def weights_for(rows: int, rng: np.random.Generator) -> np.ndarray:
 
 
 @pytest.mark.parametrize("walk", [0.0, 0.3])
+@pytest.mark.parametrize("roll", [ALIKE, Roll((1.0 / 3.0, 2.0 / 3.0, -2.0 / 3.0), 5.0)])
 @pytest.mark.parametrize(("theta", "tau"), MODELS)
-def test_whitening_is_that_of_the_dense_covariance(theta: float, tau: float, walk: float, close: Close) -> None:
+def test_whitening_is_that_of_the_dense_covariance(
+    theta: float, tau: float, roll: Roll, walk: float, close: Close
+) -> None:
     """e' V^-1 e and log det V of 70 uneven rows in three segments, with missing and doubtful components and axes of
     different noise, also beside a bias that walks from the first row on, against numpy's inverse and determinant."""
     w = world(70, 25.0, 7.0, theta, tau, 3, uneven=0.8, gaps=2)
     rng = np.random.default_rng(4)
     weights = weights_for(70, rng)
-    noise = NoiseModel(7.0, theta, tau, axis_factor=(1.0, 1.4, 0.7))
+    noise = NoiseModel(7.0, theta, tau, axis_factor=(1.0, 1.4, 0.7), roll=roll)
     whitener = with_walk(whitener_of(w, noise, weights), walk)
     used = (weights > 0).ravel()
     since = w.seconds - w.seconds[0]
     white = np.square(7.0 * np.array([1.0, 1.4, 0.7])) / np.where(weights > 0, weights, 1.0)
     walked = walk**2 * np.kron(np.minimum.outer(since, since), np.eye(3))
-    V = (dense_attitude(w, theta, tau) + np.diag(white.ravel()) + walked)[np.ix_(used, used)]
+    V = (dense_attitude(w, theta, tau, roll) + np.diag(white.ravel()) + walked)[np.ix_(used, used)]
     columns = rng.standard_normal((70, 3, 5))
     flat = columns.reshape(-1, 5)[used]
     expected = flat.T @ np.linalg.solve(V, flat)
@@ -613,3 +618,27 @@ def test_a_search_that_starts_without_memory_finds_the_memory(close: Close) -> N
     again = choice.best_noise(likelihood, NoiseModel(60.0, 7e-4, 0.0))
     assert best.noise.tau_s > 0.0
     close(again.log_posterior, best.log_posterior, atol=2 * choice.CLOSE, unit="", because="no step is taken for less")
+
+
+@pytest.mark.parametrize(
+    ("boresight", "shows"), [((0.0, 0.0, -1.0), True), ((0.6, 0.0, 0.8), True), ((0.48, 0.64, -0.6), False)]
+)
+def test_an_attitude_error_about_one_axis_is_not_taken_for_noise_of_another(
+    boresight: tuple[float, float, float], shows: bool
+) -> None:
+    """A star tracker's error is white, and five times as large about its boresight. Far from every body axis it is as large
+    in each of the three, and nothing is looked for; noise that is larger on one axis is no such error. The axis is the
+    nearest of those tried (18 deg)."""
+    for seed in (51, 52):
+        w = world(900, 20.0, 20.0, 0.0, 0.0, seed)
+        rng = np.random.default_rng(seed)
+        error = 3.5e-4 * rng.standard_normal((900, 3)) @ (np.eye(3) + 4.0 * np.outer(boresight, boresight))
+        tracker = dataclasses.replace(w, residual=w.residual + np.cross(error, w.field))
+        noise = chosen(tracker, NoisePrior(20.0, 0.1))
+        assert noise.axis_factor == (1.0, 1.0, 1.0)
+        assert (noise.roll != ALIKE) is shows
+        assert not shows or abs(np.dot(noise.roll.axis, boresight)) > np.cos(np.radians(18.0))
+        assert noise.theta_rad == pytest.approx(3.5e-4 * 3.0, rel=0.15)  # rms of 5, 1 and 1
+        assert noise.sigma_nT == pytest.approx(20.0, rel=0.1)
+        noisy = w.residual + 60.0 * np.outer(rng.standard_normal(900), np.eye(3)[int(np.argmax(np.abs(boresight)))])
+        assert chosen(dataclasses.replace(w, residual=noisy), NoisePrior(20.0, 0.1)).roll == ALIKE

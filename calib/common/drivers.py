@@ -107,10 +107,18 @@ def asked_for(telemetry: Telemetry, names: Sequence[str]) -> Asked:
     return Asked(found, EVERY in names, left_out, seconds_of(telemetry.time))
 
 
-def fitted(asked: Asked, rows: np.ndarray, others: FloatArray, fit: Callable[[Columns], F], drops: Drops[F]) -> F:
+def fitted(
+    asked: Asked,
+    rows: np.ndarray,
+    others: FloatArray,
+    fit: Callable[[Columns], F],
+    drops: Drops[F],
+    values_of: Callable[[Columns], F] | None = None,
+) -> F:
     """The fit with the columns that are asked for, or, of all, with those that are worth it; what was dropped is said.
 
-    rows: (n,) of the telemetry that are fitted; others: (n, k) what else is fitted there. fit: by its columns.
+    rows: (n,) of the telemetry that are fitted; others: (n, k) what else is fitted there. fit: by its columns; values_of:
+    the same, whose covariances mean nothing, where that is less work.
     Raises NoAnswer where a column that is asked for by name cannot be distinguished.
     """
     if not asked.columns and not asked.every:
@@ -138,7 +146,7 @@ def fitted(asked: Asked, rows: np.ndarray, others: FloatArray, fit: Callable[[Co
     used = {name: columns[name] for name in final.calibration.telemetry_bias}
 
     def again(name: str, other: tuple[float, float]) -> F:
-        return fit({**used, name: late(asked.time_s, asked.columns[name], *other)[rows]})
+        return (values_of or fit)({**used, name: late(asked.time_s, asked.columns[name], *other)[rows]})
 
     final = _with_lateness(final, found, again) if found else final
     if not asked.every:
@@ -250,7 +258,7 @@ def _moved(asked: Asked, column: FloatArray, tried: Sequence[tuple[float, float]
 def _with_lateness(fit: F, found: Mapping[str, _Late], again: Callable[[str, tuple[float, float]], F]) -> F:
     """The fit whose fields follow their columns so late, with what an error of that does to it in its covariances.
 
-    again: the fit with the column of a name at another delay and lag.
+    again: the fit with the column of a name at another delay and lag, of which the values count alone.
     """
     biases, covariance, of_drivers = {}, fit.calibration.covariance, fit.driver_covariance
     biases_of = fit.calibration.telemetry_bias

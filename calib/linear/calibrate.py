@@ -88,6 +88,17 @@ def calibrate_linear(records: Telemetry | Sequence[Telemetry], model: FieldModel
         again: dict[str, Any] = {"model_name": model.name, "weights": weights, "passes": passes}
         return _beside(used, options, *_weighted_fields(fit, used), noise=fit.noise, **again)
 
+    def values_of(columns: drivers.Columns) -> LinearFit:
+        used = replace(design, columns=columns)
+        fit = fit_design(used, options, weights=weights, passes=passes)
+        if not columns or fit.error_model is None:
+            return fit
+        value_nT, _ = _weighted_fields(fit, used)
+        white = replace(options, covariance="white")
+        free = fit_design(_without(used, value_nT), white, weights=weights, passes=passes, noise=fit.noise)
+        biases = {name: TelemetryBias(one, np.zeros(3)) for name, one in zip(columns, value_nT, strict=True)}
+        return replace(free, calibration=replace(free.calibration, telemetry_bias=biases))
+
     def drops(
         fit: LinearFit, of_fit: drivers.Columns, now: drivers.Columns, name: str, tried: FloatArray
     ) -> FloatArray:
@@ -97,7 +108,7 @@ def calibrate_linear(records: Telemetry | Sequence[Telemetry], model: FieldModel
 
     others = [design.H_nT] if options.parameters != "b" else []
     others += [] if design.D_Am2 is None else [design.D_Am2]
-    fit = drivers.fitted(asked, design.rows, np.hstack([np.zeros((len(design), 0)), *others]), by, drops)
+    fit = drivers.fitted(asked, design.rows, np.hstack([np.zeros((len(design), 0)), *others]), by, drops, values_of)
     return with_warnings(fit, telemetry, robust=options.robust != "none")
 
 
@@ -145,16 +156,12 @@ def _beside(
 ) -> LinearFit:
     """The regression of the reading without the fields (J, 3) of the design's columns; its covariance has their errors."""
     names = list(design.columns)
-
-    def without(fields_nT: FloatArray) -> Design:
-        stray = np.stack(list(design.columns.values()), axis=1) @ fields_nT
-        return replace(design, B_nT=design.B_nT - stray, columns={})
-
-    fit = fit_design(without(value_nT), options, **given)
+    fit = fit_design(_without(design, value_nT), options, **given)
     alike = replace(options, covariance="white", robust="none")
 
     def values(fields_nT: FloatArray) -> FloatArray:
-        return fit_design(without(fields_nT), alike, weights=fit.weights, noise=fit.noise).calibration.values
+        free = _without(design, fields_nT)
+        return fit_design(free, alike, weights=fit.weights, noise=fit.noise).calibration.values
 
     sigma_nT = np.sqrt(np.diag(covariance)).reshape(value_nT.shape)
     steps = np.diag(sigma_nT.ravel()).reshape(-1, *value_nT.shape)
@@ -168,6 +175,12 @@ def _beside(
         method=_method_words(options, names),
     )
     return replace(fit, calibration=calibration, driver_covariance=covariance)
+
+
+def _without(design: Design, fields_nT: FloatArray) -> Design:
+    """The reading without the fields (J, 3) of the design's columns."""
+    stray = np.stack(list(design.columns.values()), axis=1) @ fields_nT
+    return replace(design, B_nT=design.B_nT - stray, columns={})
 
 
 def _weighted_fields(fit: LinearFit, design: Design) -> tuple[FloatArray, FloatArray]:

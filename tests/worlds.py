@@ -161,6 +161,14 @@ def lawless() -> Iterator[None]:
         yield
 
 
+@pytest.fixture(scope="module")
+def small_figures() -> Iterator[None]:
+    """Figures of pages with a few dots; for files that look at no picture."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("fluxtwin.report.FIGURE_DPI", 30)
+        yield
+
+
 @pytest.fixture(scope="session")
 def changed() -> Callable[..., Any]:
     """`changed(results, "accuracy.lsb_x_deg", value)`: the frozen records with one field, or entry of a mapping, replaced.

@@ -20,7 +20,7 @@ from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.run.simulate import simulate
 from fluxtwin.sim.scenario.scenario import parse_scenario
 
-pytestmark = [pytest.mark.property, pytest.mark.usefixtures("lawless")]
+pytestmark = [pytest.mark.property, pytest.mark.usefixtures("lawless", "small_figures")]
 
 SECTIONS = """
 [effects.time_tag_offset]

@@ -26,7 +26,7 @@ from fluxtwin.sim.scenario.scenario import load_scenario, parse_scenario
 from fluxtwin.sim.telemetry.record import Telemetry
 from fluxtwin.sim.telemetry.telemetry_files import read_telemetry, write_telemetry
 
-pytestmark = pytest.mark.usefixtures("lawless")
+pytestmark = pytest.mark.usefixtures("lawless", "small_figures")
 
 SECTIONS = """
 [attitude]

@@ -11,6 +11,8 @@ from worlds import scenario_text
 
 import fluxtwin
 
+pytestmark = pytest.mark.usefixtures("small_figures")
+
 SECTIONS = """
 [attitude]
 yaw_rms_deg = 1.0

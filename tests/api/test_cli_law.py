@@ -13,6 +13,7 @@ from command_line import as_read
 from fluxtwin.cli import main
 from fluxtwin.sim.scenario.scenario import load_scenario, save_scenario
 
+pytestmark = pytest.mark.usefixtures("small_figures")
 DECLARED = ("--noise-nT", "10", "--lsb-nT", "10", "--attitude-sigma-deg", "0.05")
 Cli = Callable[..., object]
 

@@ -14,7 +14,7 @@ from worlds import scenario_text
 import fluxtwin
 from fluxtwin.sim.base.errors import BadInput
 
-pytestmark = pytest.mark.closure
+pytestmark = [pytest.mark.closure, pytest.mark.usefixtures("small_figures")]
 SENSORS = """
 [attitude]
 mode = "earth_pointing"
@@ -37,7 +37,7 @@ noise_nT = 60.0
 def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("two")
     (folder / "s.toml").write_text(
-        scenario_text(SENSORS, seed=2, segment="samples = 1500, step_s = 10.0"), encoding="utf-8"
+        scenario_text(SENSORS, seed=2, segment="samples = 750, step_s = 20.0"), encoding="utf-8"
     )
     assert status_of("simulate", folder / "s.toml", "--out", folder / "t.nc", "-q") == 0
     return folder / "t.nc"
@@ -88,7 +88,7 @@ def test_what_drowns_in_the_shared_part_is_given_a_limit_and_not_a_zero(
     text = SENSORS.replace("noise_nT = 20.0", "noise_nT = 1.0").replace("noise_nT = 60.0", f"noise_nT = {noise_nT}")
     text = text.replace("sigma_deg = 0.1", "sigma_deg = 1.0").replace("tau_s = 0.0", "tau_s = 300.0")
     (tmp_path / "s.toml").write_text(
-        scenario_text(text, seed=2, segment="samples = 1500, step_s = 10.0"), encoding="utf-8"
+        scenario_text(text, seed=2, segment="samples = 750, step_s = 20.0"), encoding="utf-8"
     )
     record, _ = fluxtwin.simulate(tmp_path / "s.toml")
     fluxtwin.write(record, tmp_path / "t.nc")

@@ -15,6 +15,8 @@ from command_line import as_read
 
 import fluxtwin
 
+pytestmark = pytest.mark.usefixtures("small_figures")
+
 SCENARIO = """
 seed = 1
 [spacecraft]

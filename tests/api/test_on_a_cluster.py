@@ -59,7 +59,7 @@ def test_the_bits_are_those_of_this_machine_and_a_lost_worker_costs_nothing(
                 MAGNETOMETER,
                 seed=number,
                 start_utc=f"2020-03-0{number + 1}T00:00:00Z",
-                segment="samples = 300, step_s = 20.0",
+                segment="samples = 150, step_s = 40.0",
             ),
             encoding="utf-8",
         )
@@ -84,7 +84,7 @@ def test_a_campaign_loses_nothing_with_a_worker(far: Cluster, tmp_path: Path, mo
     monkeypatch.setattr(fluxtwin.campaigning, "_IN_PART", 1)
     draws = '[draws]\n"magnetometer.b_nT" = { normal = 1500.0 }\n'
     (tmp_path / "s.toml").write_text(
-        scenario_text(MAGNETOMETER + draws, segment="samples = 300, step_s = 20.0"), encoding="utf-8"
+        scenario_text(MAGNETOMETER + draws, segment="samples = 150, step_s = 40.0"), encoding="utf-8"
     )
     kill, one_died = killing_one(far, 0.9)
     there = fluxtwin.campaign(tmp_path / "s.toml", 4, tmp_path / "far", scheduler=far.address, progress=kill)

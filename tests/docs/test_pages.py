@@ -11,6 +11,8 @@ import pytest
 from command_line import ROOT, Cli
 from pages import Command, differs, follow, steps
 
+pytestmark = pytest.mark.usefixtures("small_figures")
+
 PAGES = [ROOT / "docs" / "tutorial.md", *sorted((ROOT / "docs" / "howto").glob("*.md"))]
 
 

@@ -46,6 +46,7 @@ lsb_nT = 10.0
 SCENARIO = scenario_text(SECTIONS, seed=5, name="Floor", segment="duration_min = 200.0, step_s = 30.0")
 LATE = "[effects.time_tag_offset]\noffset_s = 15.0\n"
 FLAGS = ("--noise-nT", 30, "--lsb-nT", 10, "--attitude-sigma-deg", 0.05)
+WIDE = ("--noise-nT", 30, "--lsb-nT", 10, "--attitude-sigma-deg", 90)  # beside which nothing has to be searched for
 
 # The keys of the contract, written down a second time on purpose: the schema is not its own witness.
 TOP = {"verdict", "effects", "resembles", "where", "gap", "modelled", "untestable", "isolability"} | {
@@ -226,8 +227,8 @@ def test_the_scenario_with_the_effect_has_no_gap_left_and_nothing_to_close(
 
 
 def test_modelled_none_makes_the_calibration_a_candidate(late: Case, cli: Cli, tmp_path: Path) -> None:
-    write_telemetry(late.record.select(slice(0, 120)), tmp_path / "hour.csv")
-    outcome = cli("diagnose", tmp_path / "hour.csv", *FLAGS, "--modelled", "none", "--json", "-")
+    write_telemetry(late.record.select(slice(0, 60)), tmp_path / "half.csv")
+    outcome = cli("diagnose", tmp_path / "half.csv", *FLAGS, "--modelled", "none", "--json", "-")
     assert outcome.status == 0
     answer = json.loads(outcome.out)
     check_contract(answer)
@@ -251,8 +252,8 @@ def test_what_is_re_estimated_is_printed_with_sigma_and_unit(late: Case, cli: Cl
 
 
 def test_one_file_takes_any_number_of_processes_and_says_that_it_uses_one(late: Case, cli: Cli, tmp_path: Path) -> None:
-    write_telemetry(late.record.select(slice(0, 120)), tmp_path / "hour.csv")
-    one, two = (cli("diagnose", tmp_path / "hour.csv", *FLAGS, "--jobs", jobs) for jobs in (1, 2))
+    write_telemetry(late.record.select(slice(0, 60)), tmp_path / "half.csv")
+    one, two = (cli("diagnose", tmp_path / "half.csv", *WIDE, "--jobs", jobs) for jobs in (1, 2))
     assert one.status == two.status == 0 and one.out == two.out
     assert "--jobs" not in one.err and "one file is diagnosed by one process" in two.err
 
@@ -346,15 +347,7 @@ def test_a_stuck_attitude_is_a_warning(late: Case, cli: Cli, tmp_path: Path) -> 
     q = few.q_NB.copy()
     q[20:54] = q[20]
     write_telemetry(few.replace(q_NB=q), tmp_path / "stuck.csv")
-    flags = (
-        "--noise-nT",
-        30,
-        "--lsb-nT",
-        10,
-        "--attitude-sigma-deg",
-        90,
-    )  # beside which nothing has to be searched for
-    outcome = cli("diagnose", tmp_path / "stuck.csv", *flags, "--json", "-")
+    outcome = cli("diagnose", tmp_path / "stuck.csv", *WIDE, "--json", "-")
     assert outcome.status == 0
     check_contract(json.loads(outcome.out))
     assert "the reference attitude looks stuck" in outcome.err

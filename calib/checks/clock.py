@@ -29,7 +29,7 @@ from fluxtwin.sim.base.errors import OutOfRange
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import epoch, frames
 from fluxtwin.sim.earth.constants import EARTH_RATE_RAD_S
-from fluxtwin.sim.earth.field import FieldModel, field_N_nT
+from fluxtwin.sim.earth.field import YEAR, FieldModel, field_beyond_E_nT, field_N_nT
 from fluxtwin.sim.earth.tle import TleSeries, along_track_sigma_km
 from fluxtwin.sim.telemetry.origin import Origin
 from fluxtwin.sim.telemetry.record import Telemetry
@@ -40,6 +40,8 @@ HOURS = tuple(sign * half / 2.0 for half in range(1, 29) for sign in (1, -1))
 STEP_S, ELEMENTS_STEP_S = 300.0, 5.0
 """Spacing of shifts without a known cause: a clock that was never set, and what a known shift must be better than. Five
 minutes turn the Earth by 1.3 deg, to 14 hours; along the orbit that two-line elements give, 5 s are 37 km, to 10 minutes."""
+EPOCH_YEARS = tuple(sign * half / 2.0 for half in range(1, 41) for sign in (1, -1))
+"""Years by which the field of another date is tried, as far as the effect `field_epoch` goes."""
 WHOLE_COST, OTHER_COST, PLAIN_COST = 5.0, 8.0, 10.0
 """Log prior odds against one whole hour, against any other known shift, and against a shift without a known cause. Of 150
 files one has a wrong time zone (odds of 5); the others are rarer, by a factor 20 and 150: judgements."""
@@ -169,6 +171,9 @@ def check_clock(sample: Sample, model: FieldModel, origin: Origin) -> list[Findi
     if best and odds[best] > CLEAR and of_elements(tried[best], shifts, sample, origin):
         return [_elements_off(tried[best], sample, *evidence.misfit_nT[[0, best]].tolist())]
     if best and odds[best] > CLEAR:
+        other = _of_date(sample, model, float(evidence.log[0] + odds[best]))
+        if other is not None:
+            return [_epoch_off(*other, tried[best], float(evidence.misfit_nT[0]))]
         cause = shifts.get(tried[best]) or plain[tried[best]]
         said = named_shift(tried[best], cause, float(evidence.misfit_nT[0]), float(evidence.misfit_nT[best]))
         near = 3.0 * min(map(abs, plain)) if tried[best] not in shifts else 0.0
@@ -182,6 +187,17 @@ def check_clock(sample: Sample, model: FieldModel, origin: Origin) -> list[Findi
     shows = gain - np.sqrt(2.0 * gain) > costs + CLEAR
     shows &= evidence.misfit_nT[0] <= share * evidence.misfit_nT
     return [_what_shows(dict(zip(tried, shows.tolist(), strict=True)), shifts, plain, origin)]
+
+
+def epochs(sample: Sample, model: FieldModel) -> dict[float, FloatArray]:
+    """As `predictions`, of the model's field some years (of 365.25 days) after the stamps, or before: its drift is about
+    that of a field which turns about the pole."""
+    r_E_km, later = sample.R_EN.apply(sample.r_N_km), {}
+    for years in EPOCH_YEARS:
+        time = sample.time + np.timedelta64(round(years * float(YEAR.astype("int64"))), "ns")
+        field = sample.R_EN.inv().apply(field_beyond_E_nT(model, time, r_E_km))
+        later[years] = field if sample.q_NB is None else sample.R_BN.apply(field)
+    return later
 
 
 def of_elements(shift_s: float, known: Container[float], sample: Sample, origin: Origin) -> bool:
@@ -210,6 +226,24 @@ def _elements_off(shift_s: float, sample: Sample, as_is_nT: float, mended_nT: fl
     side = "behind" if shift_s > 0 else "ahead of"
     sizes = {"km": _distance_km(shift_s, sample), "as_is": as_is_nT, "mended": mended_nT}
     return note("elements_off", side=side, shift=shift_words(shift_s), **sizes)
+
+
+def _of_date(sample: Sample, model: FieldModel, log: float) -> tuple[float, float] | None:
+    """Years after the stamps by which the field explains the readings about as well as a shift of such log odds, and the
+    misfit [nT] that it leaves; None if none does."""
+    later = epochs(sample, model)
+    evidence = _evidence(sample, list(later.values()))
+    best = int(np.argmax(evidence.log))
+    if evidence.log[best] - PLAIN_COST <= log - CLEAR:
+        return None
+    return list(later)[best], float(evidence.misfit_nT[best])
+
+
+def _epoch_off(years: float, mended_nT: float, shift_s: float, as_is_nT: float) -> Finding:
+    """The note where the field of another date does as well as other stamps."""
+    side = "after" if years > 0 else "before"
+    sizes = {"years": abs(years), "as_is": as_is_nT, "mended": mended_nT}
+    return note("epoch_off", side=side, shift=shift_words(shift_s), **sizes)
 
 
 def named_shift(shift_s: float, words: str, as_is_nT: float, mended_nT: float) -> str:

@@ -24,6 +24,8 @@ from fluxtwin.sim.earth.field_models import FieldModel, load_field
 
 LOWEST_RADIUS_KM = 3485.0
 """Core-mantle boundary: below it the field has sources and the series means nothing."""
+YEAR = np.timedelta64(round(365.25 * 86400e9), "ns")
+"""Of 365.25 days."""
 _Rows = slice | np.ndarray
 __all__ = [
     "FieldModel",
@@ -31,6 +33,7 @@ __all__ = [
     "field_E_nT",
     "field_NEC_nT",
     "field_N_nT",
+    "field_beyond_E_nT",
     "field_gradient_E_nT_km",
     "load_field",
 ]
@@ -49,6 +52,25 @@ def field_E_nT(model: FieldModel, time: TimeArray | np.datetime64, r_E_km: Float
     for rows, powers_nT, tau in _terms(model, stamps):
         _add(r, rows, [fold(coefficients_nT) for coefficients_nT in powers_nT], tau, b_E_nT)
     return b_E_nT
+
+
+def field_beyond_E_nT(model: FieldModel, time: TimeArray, r_E_km: FloatArray) -> FloatArray:
+    """`field_E_nT`, and outside the model's validity the change of its outermost year carried on; (N, 3).
+
+    For a model that is linear between knots, such as IGRF, that is the straight line of the outermost interval.
+    """
+    first, last = model.valid_from, model.valid_to
+    field_nT = field_E_nT(model, np.clip(time, first, last), r_E_km)
+    for outside, edge, inner in (
+        (time > last, last, max(last - YEAR, first)),
+        (time < first, first, min(first + YEAR, last)),
+    ):
+        if outside.any():
+            there = r_E_km[outside]
+            change = field_E_nT(model, edge, there) - field_E_nT(model, inner, there)
+            share = (time[outside] - edge) / (edge - inner)
+            field_nT[outside] += share[:, None] * change
+    return field_nT
 
 
 def field_N_nT(

@@ -7,15 +7,14 @@ from typing import Literal
 
 import numpy as np
 
-from fluxtwin.sim.base.types import FloatArray, TimeArray
+from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.earth.constants import FIELD_RADIUS_KM
-from fluxtwin.sim.earth.field import field_E_nT, field_N_nT
+from fluxtwin.sim.earth.field import YEAR, field_beyond_E_nT, field_E_nT, field_N_nT
 from fluxtwin.sim.earth.field_models import FieldModel, load_field
 from fluxtwin.sim.effects.base import Effect, Parameter, SignalEffect
 from fluxtwin.sim.effects.signal import Setting, Signal
 
-_YEAR = np.timedelta64(round(365.25 * 86400e9), "ns")
 _RICHEST = 13
 _POOREST = 4
 INDUCED_SHARE = 0.27
@@ -43,29 +42,10 @@ class FieldEpoch(SignalEffect):
     def apply(self, signal: Signal, theta: FloatArray) -> Signal:
         r_E_km = signal.R_EN.apply(signal.r_N_km)
         time = signal.sampled_time
-        later = time + np.timedelta64(round(float(theta[0]) * float(_YEAR.astype("int64"))), "ns")
+        later = time + np.timedelta64(round(float(theta[0]) * float(YEAR.astype("int64"))), "ns")
         model = signal.setting.model
         change_E = field_beyond_E_nT(model, later, r_E_km) - field_E_nT(model, time, r_E_km)
         return signal.with_ambient(signal.R_EN.inv().apply(change_E))
-
-
-def field_beyond_E_nT(model: FieldModel, time: TimeArray, r_E_km: FloatArray) -> FloatArray:
-    """`field_E_nT`, and outside the model's validity the change of its outermost year carried on; (N, 3).
-
-    For a model that is linear between knots, such as IGRF, that is the straight line of the outermost interval.
-    """
-    first, last = model.valid_from, model.valid_to
-    field_nT = field_E_nT(model, np.clip(time, first, last), r_E_km)
-    for outside, edge, inner in (
-        (time > last, last, max(last - _YEAR, first)),
-        (time < first, first, min(first + _YEAR, last)),
-    ):
-        if outside.any():
-            there = r_E_km[outside]
-            change = field_E_nT(model, edge, there) - field_E_nT(model, inner, there)
-            share = (time[outside] - edge) / (edge - inner)
-            field_nT[outside] += share[:, None] * change
-    return field_nT
 
 
 @dataclass(frozen=True)

@@ -23,8 +23,8 @@ from fluxtwin.calib.checks.orientation import _mountings
 from fluxtwin.calib.checks.report import CheckReport
 from fluxtwin.calib.checks.sample import comparable
 from fluxtwin.sim.base.random_streams import stream
-from fluxtwin.sim.earth.field import FieldModel, field_N_nT, load_field
-from fluxtwin.sim.earth.frames import q_from_rotation
+from fluxtwin.sim.earth.field import YEAR, FieldModel, field_beyond_E_nT, field_N_nT, load_field
+from fluxtwin.sim.earth.frames import q_from_rotation, rotation_EN, rotation_from_q
 from fluxtwin.sim.earth.tle import read_elements, read_tle
 from fluxtwin.sim.telemetry.origin import Origin
 from fluxtwin.sim.telemetry.record import Telemetry
@@ -100,6 +100,24 @@ def test_a_clock_that_no_known_shift_explains_is_given_as_it_is(
     assert found.code == "clock"
     assert f"{abs(minutes)} min too {'late' if minutes > 0 else 'early'}" in found.text
     assert "a clock or a date (4 min a day) that is off" in found.text
+
+
+@pytest.mark.parametrize(("number", "years"), [(2, -10), (11, -5)])
+def test_the_field_of_another_year_is_no_wrong_clock(
+    number: int, years: int, model: FieldModel, tmp_path: Path
+) -> None:
+    """Its drift turns it by 0.2 deg a year about the pole, as minutes of the clock would."""
+    case = flown(model, GOOD, number)
+    assert case.q is not None
+    R_EN = rotation_EN(case.time)
+    r_E_km, years_later = R_EN.apply(case.r_N), case.time + years * YEAR
+    change_E = field_beyond_E_nT(model, years_later, r_E_km) - field_beyond_E_nT(model, case.time, r_E_km)
+    case.mag = case.mag + rotation_from_q(case.q).apply(R_EN.inv().apply(change_E))
+    report = checked(case, model, tmp_path)
+    assert [trap.text for trap in report.traps] == []
+    (said,) = [note.text for note in report.notes if note.code == "epoch_off"]
+    (found,) = re.findall(r"the field ([0-9.]+) years before the stamps", said)
+    assert abs(float(found) + years) <= 0.5
 
 
 def test_a_shift_that_is_said_to_show_is_named(model: FieldModel, tmp_path: Path) -> None:

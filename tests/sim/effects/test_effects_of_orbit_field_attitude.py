@@ -11,9 +11,9 @@ from scipy.spatial.transform import Rotation
 
 from fluxtwin.sim.attitude.recorded_motion import RecordedMotion
 from fluxtwin.sim.earth import epoch, field_external, frames, sun
-from fluxtwin.sim.earth.field import field_N_nT, load_field
+from fluxtwin.sim.earth.field import field_beyond_E_nT, field_N_nT, load_field
 from fluxtwin.sim.earth.orbit import Orbit
-from fluxtwin.sim.effects.ambient_field import FieldEpoch, FieldTruncation, RingCurrent, field_beyond_E_nT, unit_storm_E
+from fluxtwin.sim.effects.ambient_field import FieldEpoch, FieldTruncation, RingCurrent, unit_storm_E
 from fluxtwin.sim.effects.chain import Chain
 from fluxtwin.sim.effects.clock_and_orbit import AlongTrackError
 from fluxtwin.sim.effects.reference_attitude import (

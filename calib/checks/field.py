@@ -28,6 +28,7 @@ from fluxtwin.calib.checks.clock import (
     still_off,
 )
 from fluxtwin.calib.checks.evidence import Evidence, MODEL_nT, scalar_evidence, vector_evidence
+from fluxtwin.calib.checks.matrix import check_matrix
 from fluxtwin.calib.checks.orientation import FAR_BETTER, LOCAL, ORIENTATION, SINGLE_COST, Hypothesis, orientations
 from fluxtwin.calib.checks.outliers import check_outliers, without_gross_outliers
 from fluxtwin.calib.checks.report import Finding, named, note, trap
@@ -117,6 +118,8 @@ def check_field(telemetry: Telemetry, model: FieldModel, usable: BoolArray) -> l
         return [*blind_magnitude(telemetry), *check_outliers(telemetry, None, model, usable)[0]]
     unit = check_unit(sample)
     if any(found.severity == "trap" for found in unit):  # a wrong unit must not look like a wrong attitude
+        if posed is not None and len(posed) >= FEWEST and (found := check_matrix(without_gross_outliers(posed))):
+            return found
         return [*unit, note("orientation_not_tested.unit")]
     findings, with_attitude = list(unit), posed is not None and len(posed) >= FEWEST
     if not with_attitude:
@@ -138,6 +141,8 @@ def _by_vectors(sample: Sample, telemetry: Telemetry, model: FieldModel, origin:
     """The best name for what is wrong, from readings with attitude; notes where nothing is."""
     small = sample.thinned(BLOCKS)
     tried = [*orientations(small, origin), *_positions(small, model, origin), *_stamps(small, model, origin)]
+    if impossible := check_matrix(sample, tried):
+        return impossible
     misfit = _after_bias_fit(small, tried)
     far_better = np.flatnonzero(misfit <= FAR_BETTER * misfit[0])
     found, left = None, np.inf

@@ -120,6 +120,33 @@ def test_the_field_of_another_year_is_no_wrong_clock(
     assert abs(float(found) + years) <= 0.5
 
 
+@pytest.mark.parametrize("number", [4, 13])
+@pytest.mark.parametrize(
+    ("gain", "words"),
+    [
+        (np.diag([1.0, 0.1, 1.0]), r"the y axis reads 0\.\d+ of the field.* about \[1, (9\.|10\.)"),
+        (np.diag([1.0, 10.0, 1.0]), r"the y axis reads (9\.|10\.)"),
+        (np.diag([1.35, 1.0, 1.0]), r"the x axis reads 1\.\d+ of the field"),
+        (np.array([[1.0, 0.0, 0.0], [-0.6, 1.0, 0.0], [0.0, 0.0, 1.0]]), r"mag_y has -0\.\d+ of the field along x"),
+    ],
+)
+def test_a_matrix_that_no_magnetometer_has_is_named(
+    number: int, gain: np.ndarray, words: str, model: FieldModel, tmp_path: Path
+) -> None:
+    case = flown(model, GOOD, number)
+    case.mag = case.mag @ gain.T
+    (found,) = checked(case, model, tmp_path).traps
+    assert found.code == "magnetometer_matrix", f"{case.label}: {found.text}"
+    assert re.search(words, found.text), found.text
+
+
+def test_a_matrix_that_the_rows_do_not_determine_is_not_named(model: FieldModel, tmp_path: Path) -> None:
+    """In 0.4 h of an inertial hold a free matrix explains the readings, and so does one that a magnetometer may have."""
+    case = flown(model, GOOD, 1)
+    case.mag = case.mag @ np.diag([1.0, 0.7, 1.0])
+    assert "magnetometer_matrix" not in {found.code for found in checked(case, model, tmp_path).traps}
+
+
 def test_a_shift_that_is_said_to_show_is_named(model: FieldModel, tmp_path: Path) -> None:
     """What the note of a good record promises is kept when the stamps are moved by that much."""
     promised = 0

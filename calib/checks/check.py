@@ -18,7 +18,7 @@ from fluxtwin.calib.checks.field import check_field
 from fluxtwin.calib.checks.outliers import check_outliers
 from fluxtwin.calib.checks.report import CheckReport, Finding, note, report, trap
 from fluxtwin.calib.checks.sample import comparable
-from fluxtwin.calib.checks.stuck import check_held, check_stuck
+from fluxtwin.calib.checks.stuck import check_held, check_stuck, check_stuck_attitude
 from fluxtwin.calib.checks.unit import check_calibrated
 from fluxtwin.calib.checks.values import check_motion, check_readings
 from fluxtwin.calib.common.records import Onboard
@@ -109,12 +109,13 @@ def check_telemetry(telemetry: Telemetry, model: FieldModel, *, onboard: Onboard
         findings = [*held, *(finding for finding in findings if not finding.code.startswith("missing_"))]
     lost = any(finding.severity == "trap" and finding.code in POSITION_TRAPS for finding in motion)
     if not lost and (telemetry.has_reading & ~faulty).any():
+        still, telemetry = check_stuck_attitude(telemetry, model, ~faulty)
         usable, against_field = _against_field(telemetry, model, ~faulty)
         if any(finding.code == "clock" and finding.severity == "trap" for finding in against_field):
             findings = [finding for finding in findings if finding.code != "sunlit_flag"]  # the sun is elsewhere, then
         if not any(finding.severity == "trap" for finding in against_field):
             against_field += check_calibrated(telemetry, model, usable, onboard)
-        findings = [*against_field, *findings]
+        findings = [*still, *against_field, *findings]
     return report(telemetry.provenance.get("source", "telemetry"), len(telemetry), findings)
 
 

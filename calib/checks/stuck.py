@@ -7,8 +7,11 @@ from typing import Any
 import numpy as np
 
 from fluxtwin.calib.checks.report import Finding, trap
-from fluxtwin.calib.checks.sample import FEWEST
+from fluxtwin.calib.checks.sample import FEWEST, comparable, rms
+from fluxtwin.sim.base.errors import OutOfRange
 from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
+from fluxtwin.sim.earth import epoch
+from fluxtwin.sim.earth.field import FieldModel
 from fluxtwin.sim.telemetry.origin import Origin
 from fluxtwin.sim.telemetry.record import Telemetry
 
@@ -18,6 +21,9 @@ STUCK_STEPS = 3.0
 """A run is stuck when elsewhere 99 % of stretches of that length move by more than this many least steps."""
 LONGER, MUCH_LONGER = 3.0, 10.0
 """And when it is so many times longer than the runs that coarse steps make, and ends with a jump; or much longer."""
+STUCK_MISFIT = 3.0
+"""Rms that readings miss a repeated attitude by, over that of other rows: slow errors of the attitude differ by less from
+one stretch to another, and a hold that is real shows no more than they do."""
 _REGULAR = 0.8
 """Share of the values of a sensor that is held which last the usual number of rows, as rows may be lost. What coarse steps
 repeat on three axes at once lasts now one row, now several: by chance half of them alike."""
@@ -74,6 +80,43 @@ def check_held(telemetry: Telemetry) -> tuple[list[Finding], Telemetry]:
             findings.append(trap("held", np.flatnonzero(same), what=what, lasting=lasting, mend=mend, **repeated))
             blanked[name] = np.where(same[:, None], np.nan, values)
     return findings, telemetry.replace(**blanked, origin=telemetry.origin) if blanked else telemetry
+
+
+def check_stuck_attitude(telemetry: Telemetry, model: FieldModel, usable: BoolArray) -> tuple[list[Finding], Telemetry]:
+    """The trap `stuck_attitude`, of rows whose quaternion repeats while it changes in the others, and the record with blanks
+    for it there: the readings beside it are not at fault.
+
+    A hold repeats too where no errors are recorded. So the readings must miss that attitude by several times what those of
+    other rows do under one matrix and bias.
+    """
+    if telemetry.q_NB is None or telemetry.r_N_km is None:
+        return [], telemetry
+    same = _stuck(np.array(telemetry.q_NB), telemetry.time)
+    stuck = np.zeros_like(same)
+    for first, last in runs(same, telemetry.time):
+        stretch = np.zeros_like(same)
+        stretch[first : last + 1] = True
+        try:
+            moving, still = (
+                comparable(telemetry, model, usable & rows, with_attitude=True) for rows in (~same, stretch)
+            )
+        except OutOfRange:  # which is named elsewhere
+            return [], telemetry
+        if moving is None or still is None or len(moving) < FEWEST:
+            continue
+        (X, expected), (X_still, expected_still) = (
+            (np.column_stack([one.mag_nT / 1e4, np.ones(len(one))]), one.R_BN.apply(one.field_N_nT))
+            for one in (moving, still)
+        )
+        fit = np.linalg.lstsq(X, expected, rcond=1e-10)[0]
+        stuck |= stretch & (rms(expected_still - X_still @ fit) > STUCK_MISFIT * rms(expected - X @ fit))
+    if not stuck.any():
+        return [], telemetry
+    rows = np.flatnonzero(stuck)
+    first, last = (epoch.iso(telemetry.time[row]) for row in (rows[0], rows[-1]))
+    said = {"count": rows.size, "first": first, "last": last, **_lengths(stuck, telemetry.time)}
+    blanked = telemetry.replace(q_NB=np.where(stuck[:, None], np.nan, telemetry.q_NB), origin=telemetry.origin)
+    return [trap("stuck_attitude", rows, **said)], blanked
 
 
 _OWN_FILE = (

@@ -97,7 +97,7 @@ def _standing(telemetry: Telemetry) -> tuple[float, float, np.ndarray] | None:
         return None
     first, last = edges[::2] - 1, edges[1::2] - 1
     longest = int(np.argmax(last - first))
-    if share <= 0.5 and last[longest] - first[longest] < LONG_STRETCH_ROWS:
+    if share <= 0.5 and last[longest] - first[longest] + 1 < LONG_STRETCH_ROWS:
         return None
     times = epoch.seconds_since(telemetry.time, telemetry.time[0])
     return float(times[last[longest]] - times[first[longest]]), share, same

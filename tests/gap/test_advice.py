@@ -52,6 +52,8 @@ def test_a_standing_one_is_doubted_only_where_something_speaks_against_a_hold():
 def test_a_long_stretch_is_enough():
     one = record(slice(100, 140))
     assert "in 20 % of the rows" in str(stuck_attitude(one, 1e-3))  # 39 of 199 steps
+    assert "for up to 4.8 min" in str(stuck_attitude(record(slice(100, 130)), 1e-3))  # thirty rows, and no fewer
+    assert stuck_attitude(record(slice(100, 129)), 1e-3) is None
     q = np.array(one.q_NB)
     q[20:29] = q[20]
     assert "for up to 6.5 min" in str(stuck_attitude(one.replace(q_NB=q), 1e-3))  # the longer of two

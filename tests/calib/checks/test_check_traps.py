@@ -147,6 +147,27 @@ def test_a_matrix_that_the_rows_do_not_determine_is_not_named(model: FieldModel,
     assert "magnetometer_matrix" not in {found.code for found in checked(case, model, tmp_path).traps}
 
 
+@pytest.mark.parametrize("rows", [30, 300])
+def test_an_attitude_that_is_stuck_is_named_and_not_the_readings_beside_it(
+    rows: int, model: FieldModel, tmp_path: Path
+) -> None:
+    case = flown(model, GOOD, 13)
+    assert case.q is not None
+    case.q = case.q.copy()
+    case.q[1000 : 1000 + rows] = case.q[1000]
+    (found,) = checked(case, model, tmp_path).traps
+    assert found.code == "stuck_attitude", f"{case.label}: {found.text}"
+    assert (found.rows[0], found.row_count) == (1001, rows)
+
+
+def test_an_attitude_that_is_held_and_fits_the_readings_is_not_stuck(model: FieldModel, tmp_path: Path) -> None:
+    case = flown(model, GOOD, 0)
+    assert case.q is not None  # an inertial hold: here its errors last, and no more
+    case.q = case.q.copy()
+    case.q[1000:1200] = case.q[1000]
+    assert [trap.text for trap in checked(case, model, tmp_path).traps] == []
+
+
 def test_a_shift_that_is_said_to_show_is_named(model: FieldModel, tmp_path: Path) -> None:
     """What the note of a good record promises is kept when the stamps are moved by that much."""
     promised = 0

@@ -133,6 +133,9 @@ def diagnose(
         without_attitude=int((moving.has_reading & ~moving.has_attitude).sum()),
         notes=notes,
     )
+    less = input_warnings.noise_below(answer.noise, problem.budget.noise_nT)
+    if less and not input_warnings.far_below_budget(found.gap.before_nT, found.gap.floor_nT, True):
+        found = replace(found, notes=[*found.notes, less])
     found = _with_law(work, found, progress) if law else found
     progress("done", 1.0)
     return found

@@ -6,6 +6,7 @@ import numpy as np
 
 from fluxtwin.calib.checks.check import check_telemetry
 from fluxtwin.calib.checks.stuck import check_stuck
+from fluxtwin.gap.noise.choice import NOISE_LOG_SD, NoiseModel
 from fluxtwin.sim.base.types import BoolArray
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.earth.field import FieldModel
@@ -28,6 +29,21 @@ def far_below_budget(before_nT: float, floor_nT: float, declared: bool) -> str |
         f"the residual is {before_nT:.1f} nT rms, but the {whose} noise and attitude error would give {floor_nT:.1f} nT: "
         f"they are too large and hide smaller effects. {mend} --noise-nT and --attitude-sigma-deg"
         f"{', or leave them out' if declared else ''}"
+    )
+
+
+def noise_below(noise: NoiseModel, declared_nT: float | None) -> str | None:
+    """Words for white noise that is less than was declared, by three standard deviations of both, or None.
+
+    A declared noise is trusted to 10 %. Rounding is part of what was found, and not of what was declared.
+    """
+    found_nT = noise.white_rms_nT
+    if not declared_nT or found_nT >= declared_nT * np.exp(-3.0 * np.hypot(NOISE_LOG_SD, noise.sigma_log_sd)):
+        return None
+    return (
+        f"the white noise of these readings is {found_nT:.3g} +- {found_nT * noise.sigma_log_sd:.1g} nT per axis, and "
+        f"{declared_nT:.3g} nT were declared, which is trusted to {100 * NOISE_LOG_SD:.0f} %: too much noise hides smaller "
+        "effects. Correct --noise-nT, or leave it out"
     )
 
 

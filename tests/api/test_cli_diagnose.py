@@ -385,6 +385,13 @@ def test_a_budget_far_too_large_is_said(late: Case, cli: Cli, tmp_path: Path) ->
     assert "they are too large" in " ".join((result.out + result.err).split())
 
 
+def test_noise_that_is_half_of_what_was_declared_is_said(late: Case, cli: Cli, tmp_path: Path) -> None:
+    write_telemetry(late.record.select(slice(0, 120)), tmp_path / "hour.csv")
+    result = cli("diagnose", tmp_path / "hour.csv", "--noise-nT", 60, "--lsb-nT", 10, "--attitude-sigma-deg", 0.05)
+    assert result.status == 0
+    assert "60 nT were declared" in " ".join((result.out + result.err).split())
+
+
 def test_a_wrong_file_without_a_gap_says_no_numbers_of_it() -> None:
     """Microtesla as nT: S of a thousand takes up all but 60,000 nT, and the rest is noise."""
     said = words.wrong_file(["the unit is wrong"], "no_gap", "No gap: the residual of the fit is 60862.8 nT.")

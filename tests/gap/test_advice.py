@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
+from fluxtwin.gap.noise.choice import NoiseModel
 from fluxtwin.gap.records.diagnosis import Detectable
-from fluxtwin.gap.report.input_warnings import stuck_and_misfit, stuck_attitude
+from fluxtwin.gap.report.input_warnings import noise_below, stuck_and_misfit, stuck_attitude
 from fluxtwin.gap.report.words import hours_needed, hours_of, would_settle
 from fluxtwin.sim.effects.base import SignalEffect
 from fluxtwin.sim.effects.switched_field import HeaterSwitching
@@ -57,6 +60,16 @@ def test_a_long_stretch_is_enough():
     q = np.array(one.q_NB)
     q[20:29] = q[20]
     assert "for up to 6.5 min" in str(stuck_attitude(one.replace(q_NB=q), 1e-3))  # the longer of two
+
+
+def test_noise_that_is_less_than_declared_is_said_beyond_three_sigma():
+    found = NoiseModel(20.0, 1e-3, 100.0, sigma_log_sd=0.02)
+    assert noise_below(found, None) is None
+    assert noise_below(found, 20.0) is None
+    assert noise_below(found, 27.0) is None  # exp(3 * 0.102) = 1.358
+    assert "20 +- 0.4 nT per axis, and 27.5 nT were declared" in str(noise_below(found, 27.5))
+    assert noise_below(dataclasses.replace(found, sigma_log_sd=0.3), 40.0) is None  # hardly known
+    assert noise_below(dataclasses.replace(found, axis_factor=(1.0, 1.0, 3.0)), 40.0) is None  # one noisier axis
 
 
 def test_hours_grow_with_the_square_of_the_size():

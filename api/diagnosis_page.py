@@ -6,13 +6,13 @@ import re
 
 import numpy as np
 
-from fluxtwin.calib.common.digits import measured, plain, with_sigma
+from fluxtwin.calib.common.digits import measured, percent, plain, with_sigma
 from fluxtwin.calib.common.records import parameter_unit
 from fluxtwin.calibration_page import parameter_tables
 from fluxtwin.gap.held_out.closing import calibration, can_be_taken_out, reestimated
 from fluxtwin.gap.problem.problem import DEFAULT_MODELLED
 from fluxtwin.gap.records.diagnosis import Diagnosis, Law
-from fluxtwin.gap.report.words import APART_FROM_THEM, FIRST, located, percent, typical_size
+from fluxtwin.gap.report.words import APART_FROM_THEM, FIRST, located, typical_size
 from fluxtwin.scenarios.page import FigureBlock, Page, PageSection, Table, with_rows
 from fluxtwin.sim.base.files import to_json
 from fluxtwin.sim.base.types import BoolArray, FloatArray

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from fluxtwin.calib.common.digits import percent
 from fluxtwin.console import shown
 from fluxtwin.gap.records.plan import CalibrationPlan, Course, Plan, Question, SigmaCourse
 from fluxtwin.scenarios.page import FigureBlock, Page, PageSection, Table
@@ -62,7 +63,7 @@ def plan_table(plan: Plan | CalibrationPlan) -> Table:
                 [name, "none of these manoeuvres" + (f"; {question.instead}" if question.instead else ""), "", ""]
             )
         else:
-            rows.append([name, *_flown(best), f"{100 * best.power:.0f}"])
+            rows.append([name, *_flown(best), _power(best.power)])
     return Table(
         "What to fly",
         ["open question", "manoeuvre", "time [h]", "power [%]"],
@@ -76,7 +77,7 @@ def plan_table(plan: Plan | CalibrationPlan) -> Table:
 def answers_table(question: Question) -> Table:
     """What each way in which it may come out would mean."""
     rows = [
-        [*(_flown(course) if number == 0 else ("", "")), answer.cause, f"{100 * answer.power:.0f}", answer.means]
+        [*(_flown(course) if number == 0 else ("", "")), answer.cause, _power(answer.power), answer.means]
         for course in question.courses
         for number, answer in enumerate(course.answers)
     ]
@@ -96,6 +97,11 @@ def _section(question: Question) -> PageSection:
     block = FigureBlock(f"power_{'_'.join(question.names)}", caption, draw_power(question))
     heading = question.words[0].upper() + question.words[1:]
     return PageSection(heading, [], [answers_table(question)], [block])
+
+
+def _power(share: float) -> str:
+    """Under a heading that has the unit."""
+    return percent(share).removesuffix(" %")
 
 
 def _flown(course: Course) -> tuple[str, str]:

@@ -13,6 +13,7 @@ from typing import Any, Unpack
 import numpy as np
 
 from fluxtwin import diagnosing
+from fluxtwin.calib.common.digits import percent
 from fluxtwin.calib.common.fit import Fit
 from fluxtwin.calib.common.records import parameter_unit
 from fluxtwin.calib.methods import calibrate_by
@@ -266,7 +267,7 @@ def sentence(question: Question) -> str:
         also = f" The catalogue suggests: {question.instead}." if question.instead else ""
         return f"No manoeuvre within the limits settles {question.words}.{also}"
     wait = f", {best.wait_days:g} days from now" if best.wait_days else ""
-    sure = f"the answer will then be right with a probability of {100 * best.power:.0f} %"
+    sure = f"the answer will then be right with a probability of {percent(best.power)}"
     return f"To settle {question.words}, fly {with_article(best.words)} for {best.hours:.2g} h{wait}; {sure}."
 
 

@@ -23,6 +23,7 @@ from scipy.special import expit, softmax
 from scipy.stats import chi2
 
 from fluxtwin.calib.common.criterion import FALSE_ALARM
+from fluxtwin.calib.common.digits import percent
 from fluxtwin.gap.linear.projection import SHARE_LEFT, explained_in_units
 from fluxtwin.gap.posterior.stated import stated
 from fluxtwin.gap.records.diagnosis import Diagnosis, Score
@@ -89,7 +90,7 @@ class Fleet(Shown):
             one = self.common
             names = " or ".join(one.group)
             said = [
-                f"Common to the {count} vehicles, so a property of the design: {names} ({100 * one.probability:.0f} %)."
+                f"Common to the {count} vehicles, so a property of the design: {names} ({percent(one.probability)})."
             ]
             said += [
                 f"{name} {value:.4g} ± {sigma:.2g} {unit}"
@@ -102,7 +103,7 @@ class Fleet(Shown):
             ]
         for fault in self.faults:
             how = "differs in it from all others" if fault.odd else "has it alone"
-            said.append(f"{self.vehicles[fault.vehicle]}: {fault.name} ({100 * fault.probability:.0f} %), {how}.")
+            said.append(f"{self.vehicles[fault.vehicle]}: {fault.name} ({percent(fault.probability)}), {how}.")
         if not self.faults:
             said.append("No vehicle stands out from the others.")
         return tuple(said)

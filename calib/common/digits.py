@@ -41,3 +41,10 @@ def _fixed(value: float, decimals: int) -> str:
     if decimals > _MOST_DECIMALS:
         return f"{value:.1e}"
     return f"{round(value, decimals) + 0.0:.{max(decimals, 0)}f}"  # + 0.0: no minus before a zero
+
+
+def percent(share: float) -> str:
+    """A probability as nobody can misread it: certainty is not on offer."""
+    if share > 0.99:
+        return "> 99 %"
+    return "< 1 %" if share < 0.01 else f"{100 * share:.0f} %"

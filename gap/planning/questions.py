@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from fluxtwin.calib.common.digits import percent
 from fluxtwin.gap.planning.designs import Design
 from fluxtwin.gap.planning.power import FRAMES, Cause, Flown, Placed
 from fluxtwin.gap.records.plan import ENOUGH, Answer, Course, Question
@@ -205,7 +206,7 @@ def _answers(question: Open, view: Flown, rows: int) -> list[Answer]:
     if not question.causes:
         name = question.names[0]
         power = view.shown(rows).get(name, 0.0)
-        said = f"if it is named, it is present; if not, it is smaller than typical, with {100 * power:.0f} % confidence"
+        said = f"if it is named, it is present; if not, it is smaller than typical, with {percent(power)} confidence"
         return [Answer(name, power, said)]
     found = []
     ended = [cause.name for cause in question.causes if cause.over]

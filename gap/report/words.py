@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from fluxtwin.calib.common.digits import plain
+from fluxtwin.calib.common.digits import percent, plain
 from fluxtwin.calib.common.observability import listed
 from fluxtwin.gap.detectors.residual_structure import Structure
 from fluxtwin.gap.noise.choice import NoiseModel, NoisePrior
@@ -94,13 +94,6 @@ def unexplained(what: str, where: Place, resembles: Sequence[str]) -> str:
     return f"There is a gap that the catalogue does not explain, {at}: {what}.{like}"
 
 
-def percent(share: float) -> str:
-    """A probability as nobody can misread it: certainty is not on offer."""
-    if share > 0.99:
-        return "> 99 %"
-    return "< 1 %" if share < 0.01 else f"{100 * share:.0f} %"
-
-
 def located(where: Place) -> list[str]:
     """Where the gap lies, with probabilities, and which other stages can look the same: a sentence each."""
     parts = [
@@ -167,7 +160,7 @@ def named(
     """Where effects are named. remains: what does, if the shape is incomplete; outlying: of the outliers."""
     likely = [one for one in effects if one.probability >= 0.5] or effects[:1]
     causes = " and ".join(_cause(effect) for effect in likely)
-    others = [f"{_cause(one)} ({100 * one.probability:.0f} %)" for one in effects if one not in likely]
+    others = [f"{_cause(one)} ({percent(one.probability)})" for one in effects if one not in likely]
     causes += f" and perhaps {' and '.join(others)}" if others else ""
     rest = f" The explanation is incomplete: {remains}." if gap.shape_incomplete else ""
     rest += f" In addition, {outlying}." if outlying else ""

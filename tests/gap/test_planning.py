@@ -15,8 +15,10 @@ from fluxtwin.gap.planning import power
 from fluxtwin.gap.planning.designs import Design, LimitsSection, base_tree, designs
 from fluxtwin.gap.planning.power import Cause, Flown, probability_of
 from fluxtwin.gap.planning.questions import Open, _answers, _rank, ambiguous, apart, choose, signal, to_place, typical
+from fluxtwin.gap.records.plan import Course, Plan, Question
 from fluxtwin.gap.selection.score import board
-from fluxtwin.planning import View
+from fluxtwin.plan_page import answers_table, plan_table
+from fluxtwin.planning import View, sentence
 from fluxtwin.sim.base.toml_input import validate
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import frames
@@ -149,6 +151,19 @@ def test_an_unknown_field_is_placed_by_what_it_has_beyond_the_floor() -> None:
     where = {"condition": None, "probabilities": {"frame": {"body": 0.6, "orbital": 0.4}}}
     assert to_place({"where": where, "gap": {"before_nT": 50.0, "floor_nT": 30.0}}, flown) == []
     assert asked == [(None, ["body", "orbital"], pytest.approx(3 * 90 * 16.0 / 9.0))]
+
+
+@pytest.mark.parametrize(("power", "sure"), [(1.0, "> 99"), (0.997, "> 99"), (0.98, "98")])
+def test_certainty_is_not_on_offer(power: float, sure: str) -> None:
+    """In the sentence, in the tables, and in what an answer would mean."""
+    view: Any = SimpleNamespace(shown=lambda rows: {"eddy_current": power})
+    (answer,) = _answers(Open(("eddy_current",), (), "what it is"), view, 9)
+    course = Course("spin of 2 rpm", 2.0, 0.0, power, [answer], [])
+    asked = Question("show", ["eddy_current"], "what it is", [course])
+    assert sentence(asked).endswith(f"right with a probability of {sure} %.")
+    assert answer.means.endswith(f"with {sure} % confidence")
+    assert plan_table(Plan(sentence(asked), [asked], {}, {}, [])).rows[0][-1] == sure
+    assert answers_table(asked).rows[0][3] == sure
 
 
 def test_of_one_cause_nothing_is_ambiguous() -> None:

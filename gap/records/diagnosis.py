@@ -186,12 +186,13 @@ class Place(Record):
 
     def likely(self, kind: str) -> dict[str, float]:
         """The place of a kind (stage, axis, frame or condition) with its probability, followed by the next most likely
-        ones until together they have half of what is placed at all; empty where there is no such place."""
+        ones until together they have 90 % of what is placed at all, as every interval has; empty where there is no such
+        place."""
         chosen = getattr(self, kind)
         shares = {name: share for name, share in self.probabilities[kind].items() if name != "none"}
         found: dict[str, float] = {}
         for name in sorted(shares, key=lambda name: (name != chosen, -shares[name])) if chosen in shares else ():
-            if sum(found.values()) < 0.5 * sum(shares.values()):
+            if sum(found.values()) < 0.9 * sum(shares.values()):
                 found[name] = shares[name]
         return found
 

@@ -415,8 +415,8 @@ def far_table(diagnosis: Diagnosis) -> Table:
     held_out = "Both are predictions of samples that were not fitted."
     if g.prediction == "fit":
         held_out = (
-            "Both are residuals of the fit itself: no part of this record determines enough to predict another, so "
-            "nothing could be held out."
+            "Both are residuals of the fit itself: one part of this record does not determine the calibration and the best "
+            "fit from the catalogue together well enough to predict another, so nothing is held out in this table."
         )
     return Table(
         f"The gap, rms per component {'in the fit' if g.prediction == 'fit' else 'on held-out samples'} [nT]",

@@ -188,9 +188,7 @@ class _Search:
                 why = "differ from one part of the record to the next"
                 return Lawful(self._none(whitener, f"the coefficients of the best one ({best}) {why}"))
         if gap.closed is None or gap.closed < LEAST_CLOSED:
-            share = "no measurable share" if gap.closed is None else f"{100 * gap.closed:.0f} %"
-            why = f"closes {share} of the remaining gap on held-out samples"
-            return Lawful(self._none(whitener, f"the best one ({best}) {why}"))
+            return Lawful(self._none(whitener, f"the best one ({best}) {words.too_little(gap)}"))
         rest = residual_structure(problem, whitener, residual_nT, columns_nT)
         return Lawful(
             replace(record, fitted=self._series(terms, residual_nT)),

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from fluxtwin.calib.common.digits import measured
 from fluxtwin.calib.common.observability import listed
-from fluxtwin.gap.records.diagnosis import Law, LawTerm
+from fluxtwin.gap.records.diagnosis import Law, LawTerm, Shrinkage
 from fluxtwin.sim.effects.law import FIELD, GEOMETRY, timed
 from fluxtwin.sim.effects.law import Law as LawEffect
 
@@ -161,6 +161,14 @@ def beside_names(said: str, law: Law) -> str:
 def nothing(law: Law) -> str:
     """Where no law was found."""
     return f"No law of recorded columns and geometry was found among {law.tried:,} terms: {law.why_none}."
+
+
+def too_little(gap: Shrinkage) -> str:
+    """Why a law is not kept that closes less than it must."""
+    if gap.prediction == "fit":
+        return "cannot be tested: one part of this record does not determine it well enough to predict another"
+    share = "no measurable share" if gap.closed is None else f"{100 * gap.closed:.0f} %"
+    return f"closes {share} of the remaining gap on held-out samples"
 
 
 def axis_label(law: LawEffect) -> str:

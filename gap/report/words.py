@@ -132,9 +132,10 @@ def any_of(causes: int) -> str:
 
 
 def left_over(gap: Shrinkage) -> str:
-    """Where the best fit explains too little of what it has not seen."""
+    """Where the best fit explains too little: of what it has not seen, where anything was held out."""
+    what = "its own residual" if gap.prediction == "fit" else "the held-out residual"
     return (
-        f"the best fit from the catalogue lowers the held-out residual from {gap.before_nT:.1f} to {gap.after_nT:.1f} nT "
+        f"the best fit from the catalogue lowers {what} from {gap.before_nT:.1f} to {gap.after_nT:.1f} nT "
         f"rms, where {gap.floor_with_effects_nT:.1f} nT are expected"
     )
 
@@ -226,9 +227,10 @@ def _not_measured(effects: Sequence[FoundEffect], gap: Shrinkage) -> str:
     chance = "less than 1e-12" if p_value < 1e-12 else f"{p_value:.0e}"
     # What is known by its own shape, as a line is, has no size beside the fit.
     small = f"its signal is {signal_nT:.1f} nT rms, and " if signal_nT > 0.0 else ""
+    seen = "residuals of the fit" if gap.prediction == "fit" else "held-out samples"
     return (
         f"; the probability that this is chance is {chance}, but the share of the gap that it closes cannot be measured: "
-        f"{small}the held-out samples have {gap.before_nT:.1f} nT rms where {gap.floor_nT:.1f} nT are expected without it, "
+        f"{small}the {seen} have {gap.before_nT:.1f} nT rms where {gap.floor_nT:.1f} nT are expected without it, "
         "a difference that may be chance; more data of the same kind would measure it"
     )
 

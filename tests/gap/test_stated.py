@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from withheld_cases import stated as written
 from withheld_cases.stated import steps
 
+from fluxtwin.diagnosis_page import far_table
+from fluxtwin.gap.law.words import too_little
 from fluxtwin.gap.posterior import stated as module
 from fluxtwin.gap.posterior.stated import FIRST, FURTHER, Steps, as_stated, likelier_unknown, stated
-from fluxtwin.gap.records.diagnosis import EffectParameter, FoundEffect
+from fluxtwin.gap.records.diagnosis import EffectParameter, FoundEffect, Shrinkage
 from fluxtwin.gap.report import words
 
 
@@ -88,3 +92,18 @@ def test_the_sentence_gives_the_sizes_that_the_data_know_best() -> None:
     support = {"group": ("wheel_field",), "rivals": (), "probability": 0.9, "significance": 1e-9, "visible_nT": 9.0}
     found = FoundEffect(name="wheel_field", parameters=parameters, settings={}, **place, **support)
     assert words._cause(found) == "wheel_field (sin_x 80.0 nT, sin_y 25.0 nT, sin_z -36.0 nT and 3 more)"
+
+
+@pytest.mark.parametrize("prediction", ["blocks", "one_step", "fit"])
+def test_samples_are_called_held_out_only_where_they_were(prediction: str) -> None:
+    """In the sentence, in what is said of a share that is not measured, of a law, and below the table."""
+    gap = Shrinkage(86.8, 59.0, 32.1, 32.1, None, None, prediction)
+    support = {"group": ("bias_step",), "rivals": (), "probability": 0.9, "significance": 1e-9, "visible_nT": 9.0}
+    place = {"stage": "sensor", "axis": "all", "frame": "body", "condition": "after_time"}
+    sure = FoundEffect(name="bias_step", parameters={}, settings={}, **place, **support)
+    said = [words.left_over(gap), words._not_measured([sure], gap), too_little(gap)]
+    assert ["held-out" in one for one in said] == 3 * [prediction != "fit"]
+    assert ("residual from 86.8 to 59.0 nT rms" in said[0]) and ("cannot be tested" in said[2]) == (prediction == "fit")
+    table = far_table(SimpleNamespace(gap=gap, verdict="unknown", effects=()))  # type: ignore[arg-type]
+    assert ("held-out" in table.title) == (prediction != "fit") == ("not fitted" in table.note)
+    assert "nothing could be held out" not in table.note  # of a law, which needs less, samples may have been

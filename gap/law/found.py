@@ -166,7 +166,9 @@ class _Search:
         terms. And terms that do as well in the place of the first."""
         base, regression = self.base, self.regression
         laws, alike = regression.run(whitener, base.residual_nT, base.fitted_nT)
-        terms = [(law, np.zeros(3)) for law in words.with_names(regression.grammar.usual(law) for law in laws)]
+        had = [effect for effect, _ in self.problem.frozen]
+        usual = words.with_names((regression.grammar.usual(law) for law in laws), had)
+        terms = [(law, np.zeros(3)) for law in usual]
         chosen = [*base.named, *base.signals, *terms]
         readings = Readings(self.problem, whitener)
         return refit(readings, chosen, modelled=base.modelled) if laws else None, alike

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import replace
+from itertools import count
 
 from fluxtwin.calib.common.digits import measured
 from fluxtwin.calib.common.observability import listed
 from fluxtwin.gap.records.diagnosis import Law, LawTerm, Shrinkage
+from fluxtwin.sim.effects.base import Effect
 from fluxtwin.sim.effects.law import FIELD, GEOMETRY, timed
 from fluxtwin.sim.effects.law import Law as LawEffect
 
@@ -32,7 +34,7 @@ _NAMES = {
     "orbit_phase": "argument of latitude",
     "local_time": "local time",
 }
-_SHORT = {"^2": "_squared", "^3": "_cubed", ">": "_above_", ".": "_", "-": "minus_", "+": ""}
+_SHORT = {"^2": "_squared", "^3": "_cubed"}
 _FRAMES = {"orbital": "the orbital frame", "inertial": "inertial axes", "earth": "Earth-fixed axes"}
 _MOST_LISTED = 4
 _NOT_SHOWN = 2.0  # sigma: coefficients below are left out of the sentence where others are above
@@ -53,24 +55,38 @@ def _unit(factor: str) -> str:
     return _UNITS.get(stem, "") + power if stem in _UNITS else ""
 
 
-def with_names(laws: Iterable[LawEffect]) -> list[LawEffect]:
-    """The terms with names of their own, made of their factors."""
+def with_names(laws: Iterable[LawEffect], had: Collection[Effect] = ()) -> list[LawEffect]:
+    """The terms with names of their own: what they follow, without levels and times, numbered where two follow the same.
+
+    had: effects of the scenario, of which another law keeps its name.
+    """
     found: list[LawEffect] = []
     for law in laws:
-        name = "_".join(factor.removeprefix("driver_").replace(" ", "_") for factor in law.of)
-        for sign, word in _SHORT.items():
-            name = name.replace(sign, word)
-        name = re.sub(r"[^A-Za-z0-9_]", "", name)[:50]
-        taken = {one.term for one in found}
-        number = next(n for n in range(1, 10) if (name if n == 1 else f"{name}_{n}") not in taken)
-        found.append(replace(law, term=name if number == 1 else f"{name}_{number}"))
+        name = "_".join(map(_short, _followed(law.of))) or "constant"
+        numbered = (replace(law, term=name if number == 1 else f"{name}_{number}") for number in count(1))
+        new, known = {one.name for one in found}, {one.name for one in had}
+        found.append(next(one for one in numbered if one.name not in new and (one in had or one.name not in known)))
     return found
+
+
+def _followed(of: Sequence[str]) -> list[str]:
+    """The factors that are neither a switch in time nor the constant."""
+    return [text for text in of if not timed(text) and text != "one"]
+
+
+def _short(factor: str) -> str:
+    """A factor in a name."""
+    done, _, rest = factor.rpartition(" ")
+    name, above, _ = rest.removeprefix("driver_").partition(">")
+    for sign, word in _SHORT.items():
+        name = name.replace(sign, word)
+    return re.sub(r"[^A-Za-z0-9_]", "", "_".join(filter(None, (done, name, "high" if above else ""))))
 
 
 def factor(text: str) -> str:
     """One factor, to read."""
     if timed(text):
-        return f"1 {gate(text)}"
+        return f"a switch at {text.partition(' ')[2]}"
     done, _, name = text.rpartition(" ")
     name, power = (name[:-2], name[-2:]) if name[-2:] in ("^2", "^3") else (name, "")
     name, above, level = name.partition(">")
@@ -79,6 +95,12 @@ def factor(text: str) -> str:
         return f"1 - {read}"
     wave = f"{done.replace('2', '(2 ', 1)}{read})" if "2" in done else f"{done}({read})" if done else read
     return f"{wave}{power}" + (f" above {level}" if above else "")
+
+
+def product(of: Sequence[str]) -> str:
+    """The factors of a term, to read."""
+    plain = " times ".join(map(factor, _followed(of)))
+    return ", ".join([plain or "a constant", *(str(gate(text)) for text in of if timed(text))])
 
 
 def recorded(text: str) -> bool:
@@ -110,11 +132,13 @@ def term(one: LawTerm) -> str:
     seen = [(axis, pair) for axis, pair in every if pair[1] is None or abs(pair[0]) > _NOT_SHOWN * pair[1]]
     sizes = [f"{measured(value, sigma)} {one.unit} on {axis}" for axis, (value, sigma) in seen or every]
     frame = "" if one.axes == "body" else f" of {_FRAMES[one.axes]}"
-    gates = [found for found in map(gate, one.of[1:]) if found]
-    plain = [factor(text) for number, text in enumerate(one.of) if number == 0 or gate(text) is None]
+    first = _followed(one.of)[:1]
+    gates = [found for text in one.of if text not in first and (found := gate(text))]
+    plain = [factor(text) for text in _followed(one.of) if text in first or gate(text) is None]
     late = [f"{one.delay_s:.3g} s late"] if one.delay_s else []
     late += [f"behind a lag of {one.lag_s:.3g} s"] if one.lag_s else []
-    return ", ".join([f"{listed(sizes)}{frame}, times {' times '.join(plain)}", *late, *gates])
+    times = [f"times {' times '.join(plain)}"] if plain else []
+    return ", ".join([f"{listed(sizes)}{frame}", *times, *late, *gates])
 
 
 def made_of(terms: Sequence[LawTerm]) -> str:
@@ -134,8 +158,8 @@ def sentence(law: Law, named: bool, orbits: float) -> str:
     )
     other = ""
     if law.could_be:
-        listed = [" times ".join(factor(text) for text in one) for one in law.could_be[:_MOST_LISTED]]
-        other = f" These data cannot distinguish it from a law of {' or '.join(listed)}."
+        others = " or of ".join(map(product, law.could_be[:_MOST_LISTED]))
+        other = f" These data cannot distinguish it from a law of {others}."
     if not any(recorded(text) for one in law.terms for text in one.of):
         other += (
             f" It contains no recorded column: over {orbits:.1f} orbits it describes the gap but does not explain it."
@@ -175,4 +199,4 @@ def axis_label(law: LawEffect) -> str:
     """Of a figure."""
     late = f", {law.delay_s:.3g} s late" if law.delay_s else ""
     late += f", behind {law.lag_s:.3g} s" if law.lag_s else ""
-    return " times ".join(map(factor, law.of)) + late
+    return product(law.of) + late

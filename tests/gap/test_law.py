@@ -294,3 +294,43 @@ def test_a_law_without_a_recorded_column_says_that_it_describes() -> None:
     driven = replace(law, terms=(replace(term, of=("sun_height", "flag_pump")),))
     assert "does not explain" not in words.sentence(driven, False, 1.5)
     assert "while flag_pump is 1" in words.sentence(driven, False, 1.5)
+
+
+SINCE, UNTIL = "since 2026-03-01T01:06:40Z", "until 2026-03-01T02:41:20Z"
+
+
+def test_names_are_short_and_each_its_own() -> None:
+    """Neither levels nor times are in them; in a scenario they are keys without quotes."""
+    factors = [
+        ("temperature_degC^3", SINCE, UNTIL),
+        ("temperature_degC^3", "since 2026-03-01T03:00:00Z"),
+        ("driver_payload", "sunlit"),
+        ("not sunlit", "temperature_degC>-21.5"),
+        (SINCE, UNTIL),
+        ("one", SINCE),
+        *[("sin2 latitude", f"{SINCE[:-6]}{minute}:00Z") for minute in range(10, 22)],
+    ]
+    laws = [effect.Law(of=of) for of in factors]
+    names = [one.term for one in words.with_names(laws)]
+    assert names[:3] == ["temperature_degC_cubed", "temperature_degC_cubed_2", "payload_sunlit"]
+    assert names[3:6] == ["not_sunlit_temperature_degC_high", "constant", "constant_2"]
+    assert names[-1] == "sin2_latitude_12" and len(set(names)) == len(names)
+    had = [replace(laws[1], term="temperature_degC_cubed")]
+    assert [one.term for one in words.with_names(laws[:2], had)] == [
+        "temperature_degC_cubed_2",
+        "temperature_degC_cubed",
+    ]
+
+
+def test_a_switch_in_time_is_no_factor_to_read() -> None:
+    sizes = {"x": (40.0, 1.0), "y": (0.5, 1.0), "z": (0.2, 1.0)}
+
+    def said(*of: str) -> str:
+        return words.term(LawTerm("a", of, "body", 0.0, 0.0, "nT", sizes))
+
+    when = "from 2026-03-01T01:06:40Z on, until 2026-03-01T02:41:20Z"
+    assert said(SINCE, UNTIL) == said("one", SINCE, UNTIL) == f"40.0 ± 1.0 nT on x, {when}"
+    for of in (("sunlit", SINCE, UNTIL), (SINCE, UNTIL, "sunlit")):
+        assert said(*of) == f"40.0 ± 1.0 nT on x, times sunlight, {when}"
+        assert words.product(of) == f"sunlight, {when}"
+    assert words.made_of([LawTerm("a", (SINCE,), "body", 0.0, 0.0, "nT", sizes)]) == "a switch at 2026-03-01T01:06:40Z"

@@ -63,17 +63,17 @@ class Drifting(SignalEffect):
 
 @dataclass(frozen=True)
 class TimeTagOffset(Drifting):
-    """The reading is later than its time stamp.
+    """The time stamps are early (+) or late (-).
 
-    Orbit and attitude are right at the stamp; the field is that of a moment later.
+    Orbit and attitude are right at the stamp; the field is that of the moment `offset_s` later.
     """
 
     name = "time_tag_offset"
     stage = "time"
     settled_by = "a spin of 2 rpm, which shows milliseconds, or a slow tumble of 0.25 deg/s"
     about = (
-        "sampled this much later than the stamp and, with course = linear, later by this much more each day "
-        "(DMSP, Alken et al. 2014; GRACE-FO, Stolle et al. 2021; a quartz of 20 ppm drifts by 1.7 s a day)"
+        "sampled this much later (negative: earlier) than the stamp and, with course = linear, later by this much more each "
+        "day (DMSP, Alken et al. 2014; GRACE-FO, Stolle et al. 2021; a quartz of 20 ppm drifts by 1.7 s a day)"
     )
     both = (Parameter("offset", "s", 0.5, -600.0, 600.0), Parameter("rate", "s/day", 2.0, -8640.0, 8640.0))
     rate_s = 86400.0

@@ -173,7 +173,7 @@ def test_residuals_of_a_calibration_are_readings_less_the_model(pages: Path) -> 
 
 def test_an_effect_has_its_title_beside_its_name(pages: Path) -> None:
     named = re.findall(r">time_<wbr>tag_<wbr>offset(?: /)?<small>(.*?)</small>", _text(pages, "diagnose"))
-    assert named and set(named) == {"The reading is later than its time stamp"}
+    assert named and set(named) == {"The time stamps are early (+) or late (-)"}
 
 
 def test_the_diagnosis_has_the_parameters_of_the_calibration(pages: Path) -> None:

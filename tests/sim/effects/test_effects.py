@@ -424,6 +424,15 @@ def test_sampled_one_step_late_is_the_next_row(scenario, changes, close):
     assert np.array_equal(one.r_N_km, other.r_N_km)
 
 
+def test_sampled_one_step_early_is_the_row_before_and_the_words_say_so(scenario, close):
+    """The words and the sign agree: positive is later than the stamp, negative earlier."""
+    plain = scenario.updated({"torquers": None})
+    early = plain.updated({"effects.time_tag_offset": {"offset_s": -10.0}})
+    one, other = simulate(plain)[0], simulate(early)[0]
+    close(other.mag_B_nT[1:], one.mag_B_nT[:-1], atol=1e-5, unit="nT", because="rounding")
+    assert find_effect("time_tag_offset").title == "The time stamps are early (+) or late (-)"
+
+
 def test_under_replay_what_is_reported_stays_and_the_reading_follows(scenario, run, tmp_path, close):
     write_telemetry(run[0], tmp_path / "recorded.nc")
     (tmp_path / "replay.toml").write_text(

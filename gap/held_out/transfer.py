@@ -96,11 +96,11 @@ class PlannedMotion:
         return r, v, self.turned(epoch.add_seconds(self.time[0], seconds), r, v)
 
 
-def targets(problem: Problem) -> list[Target]:
+def targets(problem: Problem, named: Sequence[SignalEffect] = ()) -> list[Target]:
     """The designs for which a closed scenario says whether its parameters are good enough.
 
-    The attitude as flown on three other days, then nadir (if that was not flown), a tumble and a spin. Days outside
-    the field model's validity are left out.
+    The attitude as flown on three other days, then nadir (if that was not flown), a tumble and a spin; these two the other
+    way up, if only then all that is named has an effect. Days outside the field model's validity are left out.
     """
     known = problem.telemetry.has_attitude
     if int(known.sum()) < FEWEST:
@@ -116,6 +116,9 @@ def targets(problem: Problem) -> list[Target]:
     found = []
     for name, days, regime in made:
         setting, model = _moved(flown, days, regime), problem.setting.model
+        if regime in ("tumble", "spin") and any(effect.untestable(setting) for effect in named):
+            other = _moved(flown, days, regime, over=True)
+            setting = setting if any(effect.untestable(other) for effect in named) else other
         later = f"{24 * days:g} h later" if days < 1 else f"{days:g} days later"
         if model.valid_from <= setting.time[0] and setting.time[-1] <= model.valid_to:
             found.append(Target(f"{name}, {later}", setting, segment))
@@ -133,8 +136,9 @@ def _cut(setting: Setting, rows: np.ndarray) -> Setting:
     return Setting(setting.time[rows], motion, "predict", setting.model, setting.instrument, columns)
 
 
-def _moved(flown: Setting, days: float, regime: str | None) -> Setting:
-    """Another day, in a regime: None the recorded motion about the orbital frame, "same" that about the stars."""
+def _moved(flown: Setting, days: float, regime: str | None, *, over: bool = False) -> Setting:
+    """Another day, in a regime: None the recorded motion about the orbital frame, "same" that about the stars; over: of a
+    tumble or spin that begins the other way up."""
     time = epoch.add_seconds(flown.time[0], flown.seconds + 86400.0 * days)
     r, v, R_BN = flown.given
     turn = _node_turn(flown.time[0], r, v, 86400.0 * days)
@@ -150,7 +154,7 @@ def _moved(flown: Setting, days: float, regime: str | None) -> Setting:
         motion = RecordedMotion(time, r, v, R, columns.get("rate_B_rad_s"), denser=denser)
     else:
         columns.pop("rate_B_rad_s", None)
-        motion = PlannedMotion(time, r, v, _regime(str(regime), time[0]))
+        motion = PlannedMotion(time, r, v, _regime(str(regime), time[0], over))
     bare = Setting(time, motion, "predict", flown.model, flown.instrument, columns)
     return dataclasses.replace(bare, columns=columns | _driven(flown, bare))
 
@@ -169,12 +173,16 @@ def _node_turn(time: np.datetime64, r_N_km: FloatArray, v_N_km_s: FloatArray, la
     return Rotation.from_rotvec(pole_N * rates.raan_rad_s * later_s)
 
 
-def _regime(name: str, start: np.datetime64) -> Callable[[TimeArray, FloatArray, FloatArray], Rotation]:
+def _regime(name: str, start: np.datetime64, over: bool) -> Callable[[TimeArray, FloatArray, FloatArray], Rotation]:
     if name == "tumble":
-        tumbling = (INERTIA_KG_M2, np.array([0.0, 0.0, 0.0, 1.0]), np.radians(TUMBLE_DEG_S))
+        tumbling = (
+            INERTIA_KG_M2,
+            np.array([1.0, 0.0, 0.0, 0.0] if over else [0.0, 0.0, 0.0, 1.0]),
+            np.radians(TUMBLE_DEG_S),
+        )
         return lambda time, r, v: attitude.tumble(time, *tumbling, epoch=start).R_BN
     if name == "spin":
-        spun = (INERTIA_KG_M2, np.array([1.0, 0.0, 0.0]), SPIN_RPM * 2.0 * np.pi / 60.0)
+        spun = (INERTIA_KG_M2, np.array([-1.0 if over else 1.0, 0.0, 0.0]), SPIN_RPM * 2.0 * np.pi / 60.0)
         return lambda time, r, v: attitude.spin(time, *spun, nutation_rad=np.radians(5.0), epoch=start).R_BN
     librations = draw_libration((_LIBRATION_RAD,) * 3, *_LIBRATION_S, np.random.default_rng(0))
     return lambda time, r, v: attitude.librating(time, r, v, librations).R_BN
@@ -222,7 +230,9 @@ class Other:
 
 def transfers(closure: Closure, effects: Sequence[tuple[SignalEffect, FloatArray, FloatArray]]) -> list[Transfer]:
     """For each named effect (as pinned, parameters (p,), covariance (p, p)) and each target, whether it transfers."""
-    designs = [_Design(closure, target, [(e, theta) for e, theta, _ in effects]) for target in targets(closure.problem)]
+    chosen = [(effect, theta) for effect, theta, _ in effects]
+    flown = targets(closure.problem, [effect for effect, _ in chosen])
+    designs = [_Design(closure, target, chosen) for target in flown]
     rows = []
     for number, (effect, theta, covariance) in enumerate(effects):
         known = np.isfinite(np.diag(covariance))
@@ -236,7 +246,7 @@ def transfers(closure: Closure, effects: Sequence[tuple[SignalEffect, FloatArray
             if why is not None:
                 rows.append(Transfer(effect.name, name, False, None, None, design.floor_nT, None, why))
             elif lost is not None:
-                lost = f"it has no effect there ({lost})"
+                lost = f"it has no effect in the one flight that was tried ({lost})"
                 rows.append(Transfer(effect.name, name, True, 0.0, 0.0, design.floor_nT, None, lost))
             else:
                 rows.append(_one(closure.tested, design, effect, theta, covariance, others))

@@ -85,10 +85,13 @@ class SolarArrayCurrent(SpacecraftField):
         return array_current_A(setting, self.panel)
 
     def untestable(self, setting: Setting) -> str | None:
-        if varies(self.values(setting)):
+        values = self.values(setting)
+        if varies(values):
             return None
         if known_column(setting, "array_current_A") is not None:
             return "the solar array's current never changes: its field is a bias"
+        if not values.any():
+            return "no array current was recorded, and the panel that is assumed never sees the sun"
         return "no array current was recorded, and neither sunlight nor the sun's incidence changes"
 
 

@@ -34,6 +34,7 @@ from fluxtwin.sim.effects.catalogue import CATALOGUE, find_effect
 from fluxtwin.sim.effects.chain import Chain
 from fluxtwin.sim.effects.digits import BitErrors, ExcessNoise
 from fluxtwin.sim.effects.response import Saturation
+from fluxtwin.sim.effects.spacecraft_field import Driver, SolarArrayCurrent
 from fluxtwin.sim.effects.switched_field import HeaterSwitching, SwitchedField
 from fluxtwin.sim.effects.temperature import ThermalBiasDrift
 from fluxtwin.sim.run.simulate import simulate
@@ -253,6 +254,24 @@ def test_targets_keep_the_motion_and_follow_the_sun(problem: Problem) -> None:
     assert np.array_equal(found[1].setting.columns["dipole_B_Am2"], here.columns["dipole_B_Am2"])
     turned = found[3].setting.given[2]
     assert np.degrees((turned[1:] * turned[:-1].inv()).magnitude()).mean() == pytest.approx(0.25 * 60.0, rel=0.05)
+
+
+def test_a_tumble_that_hides_a_panel_from_the_sun_is_flown_the_other_way_up(problem: Problem) -> None:
+    """At the end of May the sun is on the side of +z of both: a panel on -z is in the shade of the body. What no start can
+    show is said of the one flight that was tried, and of no other."""
+    panel, absent = SolarArrayCurrent("zenith"), Driver(column="pump")
+    hidden = targets(problem)[-2:]
+    assert all(panel.untestable(one.setting) for one in hidden)
+    assert "never sees the sun" in str(panel.untestable(hidden[0].setting))
+    shown = targets(problem, [panel])
+    assert [one.name for one in shown] == [one.name for one in targets(problem)]
+    for one, before in zip(shown[-2:], hidden, strict=True):
+        assert panel.untestable(one.setting) is None and panel.values(one.setting).max() > 0.3
+        rates = [np.linalg.norm(s.rate_B_rad_s, axis=1).mean() for s in (one.setting, before.setting)]
+        assert rates[0] == pytest.approx(rates[1], rel=1e-6)
+    closure = closure_of(problem, ((find_effect("bias"), np.zeros(3)),), ((absent, np.zeros(3)),))
+    said = {one.why for one in transfers(closure, [(absent, np.zeros(3), np.eye(3))])}
+    assert said == {"it has no effect in the one flight that was tried (the telemetry has no driver_pump)"}
 
 
 def test_a_body_that_keeps_any_attitude_to_the_orbit_points_to_nadir(problem: Problem) -> None:

@@ -351,11 +351,13 @@ def effects_table(diagnosis: Diagnosis) -> Table:
             label, about = "", [""] * len(about)
         if not effect.parameters:
             rows.append([label, "", "", *about])
+    known = [(one.name, one.settings.get("assumed")) for one in diagnosis.effects]
+    assumed = "".join(f" The parameters of {name} are the field {words}." for name, words in known if words)
     return Table(
         "Named effects",
         ["effect", "parameter", "value, 1 sigma", "probability", "stage", "p-value"],
         rows,
-        "p-value: how often noise alone would look this good, corrected for the number of tests.",
+        f"p-value: how often noise alone would look this good, corrected for the number of tests.{assumed}",
     )
 
 

@@ -285,9 +285,13 @@ def _minimum_detectable(problem: Problem, answer: Answer) -> dict[str, Detectabl
         own = whitener_of(problem, one.noise, robust.weights)
         whitener = with_walk(own, rate * one.noise.sigma_nT) if walk else own
         noises.append(Hiding(whitener, one.probability, one.cost))
-    images = [result.candidates[one.owner].jacobian[:, :, one.place] for one in result.smallest.values()]
+    images, seen = [], {}
+    for name, least in result.smallest.items():
+        owner = result.candidates[least.owner]
+        images.append(owner.jacobian[:, :, least.place])
+        seen[name] = least._replace(parameter=owner.effect.parameters_on(problem.setting)[least.place])
     every = np.stack(images, axis=-1) if images else np.zeros((problem.rows, 3, 0))
-    return detectable(result.smallest, every, without_names(problem, answer), noises)
+    return detectable(seen, every, without_names(problem, answer), noises)
 
 
 def _about_the_whitened_fit(problem: Problem) -> Problem:

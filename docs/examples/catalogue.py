@@ -59,7 +59,10 @@ SETTINGS = {
     ),
     "attitude_step": "`at` (the middle row)",
     "torquer_coupling": "in addition to T of eq. 1",
-    "solar_array_current": '`panel` ("zenith") is used if no current is recorded',
+    "solar_array_current": (
+        'if no current is recorded, `panel` ("zenith", on -z; or "tracking", "constant") is taken to give 1 A in full sun, '
+        'or ("balance") what the battery takes'
+    ),
     "driver": (
         "`[effects.driver.NAME]`: NAME is its setting `column`, so there may be several; `delay_s` and "
         "`lag_s` (0): it follows the column that much later, behind a first-order lag; "

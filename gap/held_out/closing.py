@@ -169,7 +169,7 @@ def reestimated(closure: Closure) -> dict[str, dict[str, EffectParameter]]:
         spread = sigma[start : start + len(theta)]
         start += len(theta)
         if effect.name not in CALIBRATION:
-            found[effect.name] = parameters_of(effect, theta, spread)
+            found[effect.name] = parameters_of(effect, theta, spread, closure.problem.setting)
     return found
 
 

@@ -135,7 +135,8 @@ class FoundEffect(Record):
     """That this entry, or a member of its group, is present."""
     parameters: Mapping[str, EffectParameter]
     settings: Mapping[str, Any]
-    """Discrete settings of the effect (a head, a degree)."""
+    """Discrete settings of the effect (a head, a degree); `assumed`: of what its parameters are the field, where no current
+    was recorded."""
     stage: Stage
     axis: Axis
     frame: Frame

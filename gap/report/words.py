@@ -190,6 +190,7 @@ def _cause(effect: FoundEffect) -> str:
     over += f" at {str(effect.settings['at'])[:19]}Z" if effect.settings.get("at") else ""
     over += f" {effect.settings['delay_s']:.3g} s late" if effect.settings.get("delay_s") else ""
     over += f" behind a lag of {effect.settings['lag_s']:.3g} s" if effect.settings.get("lag_s") else ""
+    sizes += f" {effect.settings['assumed']}" if effect.settings.get("assumed") else ""
     end = at_the_end(effect)
     return f"{' or '.join(effect.group)}{over} ({sizes}{f'; {end}' if end else ''})"
 

@@ -60,8 +60,8 @@ def found_effect(
         group=backing.group,
         rivals=backing.rivals,
         probability=backing.probability,
-        parameters=parameters_of(effect, theta, sigma),
-        settings=settings_of(effect),
+        parameters=parameters_of(effect, theta, sigma, setting),
+        settings=settings_of(effect) | ({"assumed": assumed} if (assumed := effect.stands_in(setting)) else {}),
         stage=effect.stage,
         axis=axis,
         frame=effect.frame,
@@ -73,11 +73,11 @@ def found_effect(
     )
 
 
-def parameters_of(effect: Effect, theta: FloatArray, sigma: FloatArray) -> dict[str, EffectParameter]:
-    """By name: values and sigmas (p,) with their units; a sigma that is not finite is not known."""
+def parameters_of(effect: Effect, theta: FloatArray, sigma: FloatArray, setting: Setting) -> dict[str, EffectParameter]:
+    """By name: values and sigmas (p,) with their units on a design; a sigma that is not finite is not known."""
     return {
         one.name: EffectParameter(float(value), float(spread) if np.isfinite(spread) else None, one.unit)
-        for one, value, spread in zip(effect.parameters, theta, sigma, strict=True)
+        for one, value, spread in zip(effect.parameters_on(setting), theta, sigma, strict=True)
     }
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -112,6 +112,17 @@ class Effect(ABC):
     def condition_on(self, setting: Setting) -> str | None:
         """The condition that it follows on this design, with these settings."""
         return self.follows
+
+    def stands_in(self, setting: Setting) -> str:
+        """Of what its parameters are the field, in words, where something that is assumed stands in for a current that was
+        not recorded; else empty."""
+        return ""
+
+    def parameters_on(self, setting: Setting) -> tuple[Parameter, ...]:
+        """Its parameters in their units on this design: nothing is per ampere of a current that nobody recorded."""
+        if not self.stands_in(setting):
+            return self.parameters
+        return tuple(replace(one, unit=one.unit.removesuffix("/A")) for one in self.parameters)
 
     def untestable(self, setting: Setting) -> str | None:
         """Why this design cannot show the effect at all, in words; None when it can."""

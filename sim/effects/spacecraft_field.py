@@ -21,6 +21,11 @@ from fluxtwin.sim.effects.drivers import (
 from fluxtwin.sim.effects.signal import Setting, Signal
 
 _PREFIX = "driver_"
+_PANELS = {
+    "zenith": "panel on -z",
+    "tracking": "array that turns about y",
+    "constant": "array that always faces the sun",
+}
 TYPICAL_NT = 100.0
 """A usual field of whatever a column records."""
 
@@ -59,8 +64,9 @@ class SolarArrayCurrent(SpacecraftField):
     follows = "current"
     settled_by = "steps of the load, or panels turned away from the sun, with the current in the telemetry"
     about = (
-        "current of the solar array; the field is positive along the axis (RAX: Springmann & Cutler 2012, "
-        "doi 10.2514/1.56726; CryoSat-2: Olsen et al. 2020)"
+        "current of the solar array; the field is positive along the axis. Where no current was recorded, s is the field in "
+        "full sun [nT], on the panel that is assumed (RAX: Springmann & Cutler 2012, doi 10.2514/1.56726; CryoSat-2: Olsen "
+        "et al. 2020)"
     )
     panel: PanelKind = "zenith"
 
@@ -83,6 +89,11 @@ class SolarArrayCurrent(SpacecraftField):
 
     def values(self, setting: Setting) -> FloatArray:
         return array_current_A(setting, self.panel)
+
+    def stands_in(self, setting: Setting) -> str:
+        if self.panel == "balance" or known_column(setting, "array_current_A") is not None:
+            return ""
+        return f"in full sun on an assumed {_PANELS[self.panel]}, as no current was recorded"
 
     def untestable(self, setting: Setting) -> str | None:
         values = self.values(setting)
@@ -133,8 +144,8 @@ class BatteryCurrent(SpacecraftField):
     follows = "current"
     settled_by = "steps of the load, or the taper at the end of charge, with the current in the telemetry"
     about = (
-        "the current is positive when charging, the field positive along the axis "
-        "(CryoSat-2: Olsen et al. 2020, doi 10.1186/s40623-020-01171-9)"
+        "the current is positive when charging, the field positive along the axis. Where no current was recorded, s is the "
+        "field in sunlight [nT], and -s that in shadow (CryoSat-2: Olsen et al. 2020, doi 10.1186/s40623-020-01171-9)"
     )
     parameters = vector_parameters("s", "nT/A", 20.0)
 
@@ -144,6 +155,10 @@ class BatteryCurrent(SpacecraftField):
 
     def values(self, setting: Setting) -> FloatArray:
         return battery_current_A(setting)
+
+    def stands_in(self, setting: Setting) -> str:
+        known = any(known_column(setting, name) is not None for name in ("battery_current_A", "array_current_A"))
+        return "" if known else "in sunlight, and the opposite in shadow, as no current was recorded"
 
     def untestable(self, setting: Setting) -> str | None:
         if varies(self.values(setting)):

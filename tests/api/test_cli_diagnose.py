@@ -140,6 +140,8 @@ def test_a_late_clock_is_named_and_the_answer_keeps_the_contract(late: Case) -> 
     assert abs(offset["value"] - 15.0) < 4.0 * offset["sigma"]
     assert late.answer["modelled"] == ["bias", "scale_misalignment"]
     assert late.answer["provenance"]["notes"] == []
+    # No current was recorded, so nothing is known per ampere.
+    assert late.answer["minimum_detectable"]["battery_current"]["unit"] == "nT"
 
 
 def test_the_page_stands_alone_and_answers_the_questions(late: Case) -> None:

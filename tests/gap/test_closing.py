@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2, norm, poisson
 from worlds import scenario_text
 
+from fluxtwin.diagnosis_page import effects_table
 from fluxtwin.gap.detectors.codes import floor_noise, stochastic_nT, with_frozen_noise
 from fluxtwin.gap.detectors.finding import Finding
 from fluxtwin.gap.held_out.closing import Declared, calibration, closed_scenario, settle
@@ -25,6 +26,7 @@ from fluxtwin.gap.problem.problem import Budget, Problem, pose
 from fluxtwin.gap.problem.row_axes import turn_images
 from fluxtwin.gap.records.diagnosis import Closure
 from fluxtwin.gap.report.verdict import expected, too_many_outliers
+from fluxtwin.gap.report.words import _cause
 from fluxtwin.gap.selection.refit import Readings, refit
 from fluxtwin.gap.selection.search import Support, found_effect
 from fluxtwin.sim.base.errors import BadInput
@@ -34,10 +36,11 @@ from fluxtwin.sim.effects.catalogue import CATALOGUE, find_effect
 from fluxtwin.sim.effects.chain import Chain
 from fluxtwin.sim.effects.digits import BitErrors, ExcessNoise
 from fluxtwin.sim.effects.response import Saturation
-from fluxtwin.sim.effects.spacecraft_field import Driver, SolarArrayCurrent
+from fluxtwin.sim.effects.spacecraft_field import BatteryCurrent, Driver, SolarArrayCurrent
 from fluxtwin.sim.effects.switched_field import HeaterSwitching, SwitchedField
 from fluxtwin.sim.effects.temperature import ThermalBiasDrift
 from fluxtwin.sim.run.simulate import simulate
+from fluxtwin.sim.scenario.effect_sections import active_effects
 from fluxtwin.sim.scenario.scenario import Scenario, load_scenario, parse_scenario, save_scenario
 from fluxtwin.sim.spacecraft.sensors.magnetometer import Magnetometer
 
@@ -143,6 +146,40 @@ def test_the_scenario_takes_S_b_and_T_and_survives_the_file(
     assert again.magnetometer.S == scenario.magnetometer.S  # it was not re-estimated
     assert again.effects.excess_noise.rms_nT == 50.0 and again.effects.excess_noise.covariance == ((25.0,),)
     assert again.closure.rows == problem.rows and again.closure.telemetry == "flight.csv"
+
+
+def test_of_a_current_that_nobody_recorded_nothing_is_per_ampere(problem: Problem, scenario: Scenario) -> None:
+    """The number is that of full sun on the panel that was assumed, in the sentence, the table and the JSON; the closed
+    scenario, which has the panel too, gives that very field. Beside a recorded current it is per ampere."""
+    sizes, sigma = np.array([181.0, -104.0, 102.0]), np.array([17.0, 20.0, 7.0])
+    recorded = replace(problem.setting, columns={**problem.setting.columns, "array_current_A": problem.setting.seconds})
+    charged = replace(
+        problem.setting, columns={**problem.setting.columns, "battery_current_A": problem.setting.seconds}
+    )
+    sun, known = "in full sun on an assumed", "as no current was recorded"
+    for effect, setting, unit, assumed in [
+        (SolarArrayCurrent(), problem.setting, "nT", f"{sun} panel on -z, {known}"),
+        (SolarArrayCurrent("tracking"), problem.setting, "nT", f"{sun} array that turns about y, {known}"),
+        (SolarArrayCurrent("constant"), charged, "nT", f"{sun} array that always faces the sun, {known}"),
+        (BatteryCurrent(), problem.setting, "nT", f"in sunlight, and the opposite in shadow, {known}"),
+        (SolarArrayCurrent(), recorded, "nT/A", ""),
+        (SolarArrayCurrent("balance"), charged, "nT/A", ""),
+        (BatteryCurrent(), recorded, "nT/A", ""),
+        (BatteryCurrent(), charged, "nT/A", ""),
+    ]:
+        found = found_effect(effect, sizes, sigma, setting, Support(1e-9, 0.9, (effect.name,)), "all")
+        said = f"{effect.name} (s_x 181 {unit}, s_y -104 {unit}, s_z 102 {unit}{f' {assumed}' if assumed else ''})"
+        assert _cause(found) == said
+        table = effects_table(SimpleNamespace(effects=[found]))  # type: ignore[arg-type]
+        assert [row[1] for row in table.rows] == [f"s_{axis} [{unit}]" for axis in "xyz"]
+        assert table.note.endswith(f"are the field {assumed}." if assumed else "number of tests.")
+        plain = found.to_dict()
+        assert plain["parameters"]["s_x"]["unit"] == unit and plain["settings"].get("assumed", "") == assumed
+    closure = closure_of(problem, chosen=((SolarArrayCurrent("tracking"), sizes),))
+    closed = replace(settle(closure), named=((SolarArrayCurrent("tracking"), sizes, np.eye(3)),))
+    made = closed_scenario(closure, closed, [], scenario, Path("x.csv"), None, Declared())
+    ((again, theta),) = active_effects(made)
+    assert again == SolarArrayCurrent("tracking") and np.array_equal(theta, sizes)
 
 
 def test_the_scenario_of_a_record_has_the_step_of_its_readings(problem: Problem, tmp_path: Path, close) -> None:

@@ -164,7 +164,7 @@ def noise_level(
     else no single axis is named.
     """
     there = np.ones((left.residual.size // 3, 3), dtype=np.bool_) if measured is None else measured
-    whole = there.all(axis=1)
+    whole = np.asarray(there.all(axis=1), dtype=np.bool_)
     rows = whole if 2 * whole.sum() > whole.size else there.any(axis=1)
     series, share = left.residual.reshape(-1, 3)[rows], there[rows].mean(axis=0) / there[rows].mean()
     degrees_of_rows = left.degrees * there[rows].sum() / there.sum()

@@ -314,7 +314,7 @@ def best_noise(likelihood: Likelihood, start: NoiseModel | None = None) -> Choic
     prior = likelihood.prior
     if prior.theta_rad == 0.0:
         return _with_uncertainty(likelihood, likelihood.at(0.0, 0.0), np.zeros((0, 0)))
-    ratio, tau_s = 1.0, prior.tau_s
+    ratio, tau_s = 1.0, prior.tau_s or 0.0
     if prior.theta_rad is not None:
         ratio = prior.theta_rad * likelihood.field_nT / prior.sigma_nT
     if start is not None and start.theta_rad > 0:

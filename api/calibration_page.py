@@ -62,7 +62,7 @@ def _seen(fit: Fit, record: Telemetry) -> list[PageSection]:
 
     rows = record.select(fit.rows)
     here = for_record(fit.calibration, rows)
-    corrected = here.apply(rows.mag_B_nT, rows.dipole_B_Am2, here.columns_of(record, fit.rows))
+    corrected = here.apply(rows.mag_B_nT, rows.dipole_B_Am2, here.columns_of(record, fit.rows, fitted=True))
     reading = rows.mag_B_nT
     if fit.residuals_nT.shape[1] != 3:
         corrected, reading = (np.linalg.norm(field, axis=1, keepdims=True) for field in (corrected, reading))

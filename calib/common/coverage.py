@@ -108,7 +108,8 @@ def coverage_of(fit: Fit, telemetry: Telemetry) -> Coverage:
     """Of the rows with weight of a fit of a record (joined, as it was fitted)."""
     rows = fit.rows[fit.kept]
     used = telemetry.select(rows)
-    field_nT = fit.calibration.apply(used.mag_B_nT, used.dipole_B_Am2, fit.calibration.columns_of(telemetry, rows))
+    columns = fit.calibration.columns_of(telemetry, rows, fitted=True)
+    field_nT = fit.calibration.apply(used.mag_B_nT, used.dipole_B_Am2, columns)
     return coverage(fit.calibration, used.mag_B_nT, field_nT, size_only=fit.residuals_nT.shape[1] == 1)
 
 

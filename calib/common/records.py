@@ -11,7 +11,7 @@ import numpy as np
 
 from fluxtwin.calib.common.conventions import Correction, Forward, forward_from_correction
 from fluxtwin.sim.base.errors import BadInput
-from fluxtwin.sim.base.late import late
+from fluxtwin.sim.base.late import bridged, late
 from fluxtwin.sim.base.shown import Shown
 from fluxtwin.sim.base.types import FloatArray, TimeArray
 from fluxtwin.sim.telemetry.record import Telemetry, recorded_columns
@@ -196,12 +196,18 @@ class Calibration(Shown):
             reading_nT = reading_nT - np.asarray(columns[name], dtype=np.float64)[..., None] * bias.value_nT
         return reading_nT
 
-    def columns_of(self, telemetry: Telemetry, rows: np.ndarray | slice = slice(None)) -> dict[str, FloatArray]:
-        """Columns of the telemetry by name, in these rows; those of `telemetry_bias` with delay and lag of their field."""
+    def columns_of(
+        self, telemetry: Telemetry, rows: np.ndarray | slice = slice(None), *, fitted: bool = False
+    ) -> dict[str, FloatArray]:
+        """Columns of the telemetry by name, in these rows; those of `telemetry_bias` with delay and lag of their field.
+
+        What hangs on a missing value is missing; in the rows that were fitted it is as it was there, bridged.
+        """
         columns = recorded_columns(telemetry)
         for name, bias in self.telemetry_bias.items():
             if (bias.delay_s or bias.lag_s) and name in columns and np.isfinite(columns[name]).any():
-                columns[name] = late(seconds_of(telemetry.time), columns[name], bias.delay_s, bias.lag_s)
+                acts = (seconds_of(telemetry.time), columns[name], bias.delay_s, bias.lag_s)
+                columns[name] = late(*acts) if fitted else np.where(bridged(*acts), np.nan, late(*acts))
         return {name: values[rows] for name, values in columns.items()}
 
     @property

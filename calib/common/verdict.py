@@ -153,7 +153,7 @@ def assess(
     known, kept = fit.calibration, fit.kept
     B = telemetry.mag_B_nT[fit.rows]
     D = None if telemetry.dipole_B_Am2 is None else telemetry.dipole_B_Am2[fit.rows]
-    field_nT = known.apply(B, D, known.columns_of(telemetry, fit.rows))
+    field_nT = known.apply(B, D, known.columns_of(telemetry, fit.rows, fitted=True))
     with_attitude = fit.residuals_nT.shape[1] == 3
     true_nT = field_nT + fit.residuals_nT if with_attitude else field_nT
     direction = direction_knowledge(

@@ -290,6 +290,8 @@ def without_effects(
     if of_readings:
         problem = pose(telemetry, model, modelled=(), instrument=instrument)
         change = problem.chain.reading_nT(of_readings) - problem.chain.reading_nT()
+        for effect, _ in of_readings:
+            change[effect.invented(problem.setting)] = np.nan
         rows = np.isin(telemetry.time, problem.telemetry.time)
         mag = np.full((len(telemetry), 3), np.nan)
         mag[rows] = telemetry.mag_B_nT[rows] - change

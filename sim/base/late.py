@@ -15,6 +15,8 @@ _LONGEST = 0.1
 """Of the record: a delay or lag must pass several times."""
 _ROUNDING_S = 1e-6
 _GAP = 5.0  # usual spacings without a row: nothing is fitted across
+_FORGOTTEN = 0.01
+"""Of a lag's memory, that may be of values which nobody knows: the field of a unit is hardly known better than to 1 %."""
 
 
 def lateness_tried(seconds: FloatArray) -> list[tuple[float, float]]:
@@ -35,19 +37,42 @@ def late(seconds: FloatArray, column: FloatArray, delay_s: float | FloatArray, l
     """(N,) a column (N,) that has a value somewhere, `delay_s` (or (N,)) before, then behind a first-order lag.
 
     Between its samples a column of two values holds the last one, any other is a straight line. What it was before
-    the first row, or in a gap of the rows, is what it was after; the lag starts in balance there.
+    the first row, or in a gap of the rows, is what it was after; the lag starts in balance there. Where values are missing
+    it is bridged: which rows hang on that says `bridged`.
     """
     if not np.any(delay_s) and not lag_s and np.isfinite(column).all():
         return column
-    known, stretch = np.isfinite(column), stretches(seconds)
-    begun = seconds[np.searchsorted(stretch, stretch)]
-    moments, samples = np.maximum(seconds - delay_s, begun), seconds[known]
-    values = column[known]
+    known = np.isfinite(column)
+    moments, samples, values = _moments(seconds, delay_s), seconds[known], column[known]
     if np.unique(values).size <= 2:
         values = values[np.maximum(np.searchsorted(samples, moments + _ROUNDING_S, side="right") - 1, 0)]
     else:
         values = np.interp(moments, samples, values)
     return low_pass(seconds, values[:, None], lag_s, restarts(seconds))[:, 0]
+
+
+def bridged(seconds: FloatArray, column: FloatArray, delay_s: float, lag_s: float) -> BoolArray:
+    """(N,) rows in which `late` has to invent what the column (N,) was.
+
+    That is where a value is missing, so that samples are two or more of their usual distances apart in rows, and as long as
+    a lag remembers it.
+    """
+    samples = np.flatnonzero(np.isfinite(column))
+    if samples.size in (0, column.size):
+        return np.full(column.size, not samples.size, dtype=np.bool_)
+    apart = np.diff(samples, prepend=-1, append=column.size)
+    unknown = apart >= 2.0 * np.median(np.diff(samples)) if samples.size > 1 else apart > 1
+    moments, stamps = _moments(seconds, delay_s), seconds[samples]
+    after = np.searchsorted(stamps, moments + _ROUNDING_S, side="right")
+    on_sample = (after > 0) & (moments - stamps[np.maximum(after - 1, 0)] <= _ROUNDING_S)
+    share = (unknown[after] & ~on_sample).astype(np.float64)
+    return np.asarray(low_pass(seconds, share[:, None], lag_s, restarts(seconds))[:, 0] > _FORGOTTEN)
+
+
+def _moments(seconds: FloatArray, delay_s: float | FloatArray) -> FloatArray:
+    """(N,) when a column was what it is felt as `delay_s` later; no earlier than the stretch without gaps begins."""
+    stretch = stretches(seconds)
+    return np.maximum(seconds - delay_s, seconds[np.searchsorted(stretch, stretch)])
 
 
 def stretches(time_s: FloatArray) -> NDArray[np.intp]:

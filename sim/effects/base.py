@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.effects.signal import Setting, Signal
 
@@ -127,6 +127,10 @@ class Effect(ABC):
     def untestable(self, setting: Setting) -> str | None:
         """Why this design cannot show the effect at all, in words; None when it can."""
         return None
+
+    def invented(self, setting: Setting) -> BoolArray:
+        """(N,) rows in which a recorded column that it follows is missing, so that what it does is invented."""
+        return np.zeros(setting.time.size, dtype=np.bool_)
 
     def pinned(self, setting: Setting, reading_B_nT: FloatArray) -> Effect:
         """The same effect with whatever it takes from this record written down, so that another record changes nothing.

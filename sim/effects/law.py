@@ -18,8 +18,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from fluxtwin.sim.base.errors import BadInput
-from fluxtwin.sim.base.late import late
-from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.base.late import bridged, late
+from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.earth import epoch, frames
 from fluxtwin.sim.effects.base import Parameter, SignalEffect, vector_parameters
 from fluxtwin.sim.effects.drivers import lit, sun_in_body
@@ -158,6 +158,14 @@ class Law(SignalEffect):
             column = (column > float(level)).astype(np.float64) if level else column ** int(power or 1)
             product = product * _DONE[done](column)
         return product
+
+    def invented(self, setting: Setting) -> BoolArray:
+        rows = super().invented(setting)
+        for number, factor in enumerate(self.of):
+            column = None if timed(factor) else quantity(setting, np.ones((rows.size, 3)), _parsed(factor)[1])
+            if column is not None:
+                rows |= bridged(setting.seconds, column, *((0.0, 0.0) if number else (self.delay_s, self.lag_s)))
+        return rows
 
     def condition_on(self, setting: Setting) -> str | None:
         named = [name.removeprefix("driver_") for name in self.quantities() if name.startswith("driver_")]

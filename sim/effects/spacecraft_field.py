@@ -6,8 +6,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from fluxtwin.sim.base.late import lateness_near, lateness_tried
-from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.base.late import bridged, lateness_near, lateness_tried
+from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.effects.base import MATRIX, Parameter, SpacecraftField, held, known_column, mapped, vector_parameters
 from fluxtwin.sim.effects.drivers import (
     PanelKind,
@@ -212,6 +212,11 @@ class Driver(SpacecraftField):
     def values(self, setting: Setting, later_s: float | FloatArray = 0.0) -> FloatArray | None:
         """(N,) what the field follows, `later_s` after the stamps; None when nothing tells."""
         return followed(setting, _PREFIX + self.column, self.delay_s - later_s, self.lag_s)
+
+    def invented(self, setting: Setting) -> BoolArray:
+        column = setting.column(_PREFIX + self.column)
+        none = super().invented(setting)
+        return none if column is None else bridged(setting.seconds, column, self.delay_s, self.lag_s)
 
     def alternatives(self, setting: Setting) -> tuple[Driver, ...]:
         if self.delay_s or self.lag_s:

@@ -18,9 +18,14 @@ from worlds import COARSE_MAGNETOMETER, THERMAL, scenario_text
 from fluxtwin import diagnosing
 from fluxtwin.calib.common.apply import known_sigma_nT
 from fluxtwin.diagnosis_page import correcting
+from fluxtwin.gap.held_out.closing import without_effects
 from fluxtwin.gap.records.diagnosis import Diagnosis
+from fluxtwin.sim.earth.field import load_field
+from fluxtwin.sim.effects.law import Law
+from fluxtwin.sim.effects.spacecraft_field import Driver
 from fluxtwin.sim.run.simulate import simulate
 from fluxtwin.sim.scenario.scenario import Scenario, load_scenario, parse_scenario, save_scenario
+from fluxtwin.sim.spacecraft.sensors.magnetometer import Magnetometer
 from fluxtwin.sim.telemetry.record import Telemetry
 
 pytestmark = pytest.mark.closure
@@ -96,6 +101,23 @@ def test_the_next_step_takes_out_what_apply_takes_out(name: str) -> None:
     noise_nT = scene.magnetometer.noise_nT
     assert out.telemetry.corrected_by.endswith(f" (noise {noise_nT:.3g} nT)"), "the residual is not known"
     assert known_sigma_nT(out.telemetry) == float(f"{noise_nT:.3g}")
+
+
+def test_the_field_of_a_column_is_not_taken_out_where_the_column_is_missing() -> None:
+    record = flown("", FIRST, 11)
+    column = np.where(np.arange(len(record)) % 40 < 15, 1.0, 0.0)
+    column[100:150] = column[-30:] = np.nan
+    step_s = float(np.diff(record.time[:2])[0] / np.timedelta64(1, "s"))
+    record = record.replace(drivers={"payload": column})
+    effects = [
+        Driver(column="payload", delay_s=2.0 * step_s),
+        Law(term="a", of=("driver_payload", "sunlit"), delay_s=2.0 * step_s),
+    ]
+    ideal = Magnetometer(np.zeros((3, 3)), np.zeros(3))
+    for effect in effects:
+        out = without_effects(record, load_field("igrf14"), ideal, [(effect, np.array([900.0, -400.0, 300.0]))])
+        missing = ~np.isfinite(out.telemetry.mag_B_nT).all(axis=1)
+        assert set(np.flatnonzero(missing)) == {*range(102, 152), *range(len(record) - 28, len(record))}
 
 
 def test_a_jump_of_the_past_says_that_it_does_not_transfer() -> None:

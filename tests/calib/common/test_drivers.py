@@ -361,6 +361,26 @@ def test_what_is_late_is_applied_late_also_from_its_file(tmp_path: Path) -> None
     assert np.abs(apply_calibration(record, at_once).mag_B_nT - wanted).max() > 50.0
 
 
+@pytest.mark.parametrize("lateness_s", [(60.0, 0.0), (0.0, 40.0)])
+def test_a_value_that_is_missing_stays_missing_where_the_field_is_late(lateness_s: tuple[float, float]) -> None:
+    """A calibration without a delay leaves just these rows blank; a held value would be wrong by the whole field."""
+    record = flown(51)
+    known = Calibration(
+        S, B_NT, telemetry_bias={"driver_array": TelemetryBias(K["driver_array"], np.zeros(3), *lateness_s)}
+    )
+    whole = apply_calibration(record, known).mag_B_nT
+    blank = np.array(record.drivers["array"])
+    blank[:5] = blank[400:500] = blank[-20:] = np.nan
+    there = apply_calibration(record.replace(drivers={**record.drivers, "array": blank}), known).mag_B_nT
+    known_rows = np.isfinite(there).all(axis=1)
+    rows = round(sum(lateness_s) / STEP_S)
+    for first, end in ((0, 5), (400, 500), (ROWS - 20, ROWS)):
+        assert not known_rows[min(first + rows, ROWS - 1) : min(end + rows, ROWS)].any()
+    assert known_rows.sum() >= ROWS - 125 - 3 * 5 * rows, "a lag forgets within five of its lengths"
+    most_nT = 0.01 * np.abs(K["driver_array"]).max() * np.ptp(record.drivers["array"])
+    assert np.abs(there - whole)[known_rows].max() < 1.03 * most_nT
+
+
 @pytest.mark.parametrize("method", ["linear", "forward", "scalar"])
 def test_of_all_columns_those_that_drive_are_kept_and_the_others_named(method: str) -> None:
     record, rng = flown(3), stream(3, "test.junk")

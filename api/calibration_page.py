@@ -209,13 +209,20 @@ def _angles(fit: Fit) -> Table:
     ]
     if d.against_reference_deg is not None:
         rows.append(["relative to the reference attitude, including its error", plain(d.against_reference_deg, 2)])
-    return Table(
-        f"Direction of the field, absolute knowledge error at {100 * CONFIDENCE:.0f} %",
-        ["of", "angle [deg]"],
-        rows,
+    if d.rotation_deg is not None:
+        rows.append(["rotation of the sensor, according to the attitude of the record", plain(d.rotation_deg, 2)])
+    note = (
         "AKE as in ECSS-E-ST-60-10C, mixed interpretation: over the instants of the record and over the calibrations that "
-        "the covariance allows. Only the last row includes the error of the reference attitude.",
+        "the covariance allows. Only the last row includes the error of the reference attitude."
     )
+    if not d.rotation_counted:
+        note = (
+            "Over the instants of the record and over the calibrations that the covariance allows. No absolute knowledge "
+            "error of ECSS-E-ST-60-10C: |B| does not show how the sensor is turned in the body, and these angles do not "
+            "count it."
+        )
+    name = "absolute knowledge error" if d.rotation_counted else "knowledge error without a rotation of the sensor"
+    return Table(f"Direction of the field, {name} at {100 * CONFIDENCE:.0f} %", ["of", "angle [deg]"], rows, note)
 
 
 def _residuals(fit: Fit) -> Table:

@@ -143,7 +143,7 @@ def calibrate_by(
     Raises BadInput for an unknown method, and for an option that the method does not take.
     """
     from fluxtwin.calib.common.coverage import coverage_of
-    from fluxtwin.calib.common.design import joined
+    from fluxtwin.calib.common.design import joined, reference_field_B_nT
     from fluxtwin.calib.common.orbit_error import with_orbit_error
     from fluxtwin.calib.common.verdict import assess
 
@@ -163,7 +163,14 @@ def calibrate_by(
     fit = with_orbit_error(fit, telemetry, lambda moved: estimator.fit(moved, model, taken, sigmas=False))
     fit = _named(fit, telemetry)
     sigma_deg, reference = given.get("attitude_sigma_deg"), "attitude" in estimator.needs
-    verdict = assess(fit, telemetry, attitude_sigma_deg=sigma_deg, against_attitude=reference)
+    of_size = fit.residuals_nT.shape[1] == 1
+    verdict = assess(
+        fit,
+        telemetry,
+        attitude_sigma_deg=sigma_deg,
+        against_attitude=reference,
+        reference_nT=reference_field_B_nT(telemetry, model) if of_size else None,
+    )
     return replace(fit, verdict=verdict, coverage=coverage_of(fit, telemetry))
 
 

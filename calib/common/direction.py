@@ -15,8 +15,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import brentq
+from scipy.spatial.transform import Rotation
 
-from fluxtwin.calib.common.conventions import of_S
+from fluxtwin.calib.common.conventions import best_turn, of_S
 from fluxtwin.calib.common.records import Calibration
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth.frames import angle_between
@@ -29,7 +30,10 @@ _ANGLES = 64  # of the quadrature over the ellipse: exact to four digits for axe
 
 @dataclass(frozen=True)
 class DirectionKnowledge:
-    """Absolute knowledge error of the field's direction, 95 % [deg]; what was not estimated is taken as zero."""
+    """Knowledge error of the field's direction, 95 % [deg]; what was not estimated is taken as zero.
+
+    An absolute one (AKE), but for the methods that compare |B| alone: a rotation of the sensor in the body is not in it.
+    """
 
     before_deg: float
     """Of the readings as they are: measured, against the model (without attitude: against the calibrated reading)."""
@@ -43,6 +47,10 @@ class DirectionKnowledge:
     """Of `after_deg`, the noise of one reading alone."""
     against_reference_deg: float | None
     """Of calibrated readings against the model in the reference attitude, measured; its error is in it. None without one."""
+    rotation_counted: bool = True
+    """Whether a rotation of the sensor in the body is in these angles: |B| alone does not show one."""
+    rotation_deg: float | None = None
+    """Where it is not: that of the calibrated readings to the model in the record's attitude. None without attitude."""
 
 
 def direction_knowledge(
@@ -72,6 +80,15 @@ def direction_knowledge(
         noise_deg=_quantile_deg(of_noise),
         against_reference_deg=float(np.degrees(np.quantile(angle_between(field_nT, true_nT), CONFIDENCE))),
     )
+
+
+def rotation_deg(field_nT: FloatArray, true_nT: FloatArray) -> float | None:
+    """Angle [deg] of the rotation that best turns fields (N, 3) into others; None where no row has both."""
+    both = np.isfinite(field_nT).all(axis=1) & np.isfinite(true_nT).all(axis=1)
+    if not both.any():
+        return None
+    turn = best_turn(true_nT[both].T @ field_nT[both])
+    return float(np.degrees(np.linalg.norm(Rotation.from_matrix(turn).as_rotvec())))
 
 
 def _across(field_nT: FloatArray) -> FloatArray:

@@ -14,7 +14,13 @@ import numpy as np
 from scipy.stats import chi2
 
 from fluxtwin.calib.common.digits import measured
-from fluxtwin.calib.common.direction import CONFIDENCE, DirectionKnowledge, direction_knowledge, of_parameters
+from fluxtwin.calib.common.direction import (
+    CONFIDENCE,
+    DirectionKnowledge,
+    direction_knowledge,
+    of_parameters,
+    rotation_deg,
+)
 from fluxtwin.calib.common.error_model import ErrorModel
 from fluxtwin.calib.common.observability import correlated_pairs, direction_words
 from fluxtwin.calib.common.orbit_error import stated_km
@@ -123,7 +129,10 @@ class Verdict:
         """The first lines of an answer: good or not, degrees, what is not observable, what next."""
         d, seen = self.direction, self.not_observable
         head = {"good": "Good", "usable": "Usable, with limits", "bad": "Bad: not a calibration"}[self.level]
-        degrees = say("verdict.degrees", confidence=100 * CONFIDENCE, d=d)
+        what = say("verdict.absolute" if d.rotation_counted else "verdict.without_rotation")
+        degrees = say("verdict.degrees", what=what, confidence=100 * CONFIDENCE, d=d)
+        if d.rotation_deg is not None:
+            degrees += say("verdict.rotation", deg=d.rotation_deg)
         if d.against_reference_deg is not None:
             degrees += say("verdict.against_reference", deg=d.against_reference_deg)
         unseen = say("verdict.unseen_one", words=seen[0]) if seen else say("verdict.unseen_none")
@@ -143,12 +152,18 @@ class Verdict:
 
 
 def assess(
-    fit: Fit, telemetry: Telemetry, *, attitude_sigma_deg: float | None = None, against_attitude: bool = True
+    fit: Fit,
+    telemetry: Telemetry,
+    *,
+    attitude_sigma_deg: float | None = None,
+    against_attitude: bool = True,
+    reference_nT: FloatArray | None = None,
 ) -> Verdict:
     """The verdict on a fit of a record (joined, as it was fitted). Pure: the same fit, the same verdict.
 
     attitude_sigma_deg: error of the reference attitude as it was declared. against_attitude: whether the method took the
-    telemetry's attitude for its reference.
+    telemetry's attitude for its reference. reference_nT: (N, 3) model field in the body of the record's rows, NaN where
+    unknown, for a method that compares |B| alone: it shows how the sensor is turned.
     """
     known, kept = fit.calibration, fit.kept
     B = telemetry.mag_B_nT[fit.rows]
@@ -166,6 +181,9 @@ def assess(
     impossible = _impossible(fit, declared, along, residual_nT, strength_nT)
     if not (with_attitude and against_attitude):
         direction = replace(direction, against_reference_deg=None)
+    if not with_attitude:
+        turned = None if reference_nT is None else rotation_deg(field_nT[kept], reference_nT[fit.rows][kept])
+        direction = replace(direction, rotation_counted=False, rotation_deg=turned)
     suspect_km = _orbit_suspect_km(fit, telemetry, along, strength_nT)
     of_orbit = [say("verdict.elements", km=suspect_km)] if suspect_km else []
     limits = [] if impossible else _limits(fit, declared, along, direction, strength_nT, of_orbit)
@@ -296,6 +314,11 @@ def _limits(
     if known.sigmas[at] > _WEAK_S:
         weak = {"name": known.names[at], "sigma": known.sigmas[at], "deg": direction.calibration_anywhere_deg}
         found.append(say("verdict.weak", **weak))
+    stated_deg = max(
+        direction.after_deg, direction.calibration_anywhere_deg
+    )  # errors of S and b may look like a rotation
+    if direction.rotation_deg is not None and direction.rotation_deg > stated_deg:
+        found.append(say("verdict.turned", deg=direction.rotation_deg))
     if direction.after_deg >= direction.before_deg:
         found.append(say("verdict.no_better"))
     return found

@@ -35,9 +35,11 @@ def fitted(record: Telemetry, seasat: Any, **options: Any) -> Fit:
 
 @pytest.mark.parametrize("method", ["linear", "forward", "scalar"])
 def test_a_good_fit_is_called_good(seasat: Any, method: str) -> None:
-    """Four records each; a comparison of variances errs once in a thousand."""
+    """Four records each; a comparison of variances errs once in a thousand. `scalar` has no attitude to compare with."""
     for seed in range(4):
-        verdict = fitted(flown(seasat, seed, noise_nT=5.0), seasat, method=method).verdict
+        record = flown(seasat, seed, noise_nT=5.0)
+        record = record.replace(q_NB=None) if method == "scalar" else record
+        verdict = fitted(record, seasat, method=method).verdict
         assert verdict is not None
         assert verdict.level == "good", verdict.reasons
         assert verdict.lines[0].startswith("Good. The residual")
@@ -253,4 +255,27 @@ def test_the_record_is_plain(seasat: Any) -> None:
         "calibration_anywhere_deg",
         "noise_deg",
         "against_reference_deg",
+        "rotation_counted",
+        "rotation_deg",
     }
+
+
+def test_an_error_without_the_sensors_rotation_is_not_called_absolute(seasat: Any) -> None:
+    """Seasat's S turns the sensor by most of a degree; turned by three more, |B| is the same and so is the fit to it."""
+    record = flown(seasat, noise_nT=5.0)
+    turn = frames.Rotation.from_rotvec(np.radians([0.0, 0.0, 3.0]))
+    turned = record.replace(mag_B_nT=turn.apply(np.array(record.mag_B_nT)))
+    alone = fitted(turned.replace(q_NB=None), seasat).verdict
+    assert alone is not None and alone.level == "good"
+    assert alone.direction.rotation_deg is None and not alone.direction.rotation_counted
+    (degrees,) = (line for line in alone.lines if line.startswith("Field direction"))
+    assert "without a rotation of the sensor in the body, which |B| does not show (so no absolute one, AKE)" in degrees
+    full = fitted(turned, seasat, method="linear")
+    known = full.calibration.apply(turned.mag_B_nT)
+    seen = fitted(turned, seasat, method="scalar")
+    axis = frames.Rotation.align_vectors(known, seen.calibration.apply(turned.mag_B_nT))[0]
+    assert seen.verdict is not None and full.verdict is not None
+    assert seen.verdict.direction.rotation_deg == pytest.approx(np.degrees(axis.magnitude()), abs=0.05)
+    assert 2.0 < (seen.verdict.direction.rotation_deg or 0.0) < 4.0
+    assert seen.verdict.level == "usable" and "--method linear takes it out" in seen.verdict.reasons[-1]
+    assert any("AKE) at 95 %" in line for line in full.verdict.lines) and full.verdict.direction.rotation_counted

@@ -12,7 +12,7 @@ import time
 import warnings
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
-from datetime import datetime
+from datetime import date
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Unpack
 
@@ -190,7 +190,7 @@ class _Rows:
 
 
 def _taken(
-    records: Iterable[Telemetry], start: np.datetime64 | datetime | str | None, where: str | None
+    records: Iterable[Telemetry], start: np.datetime64 | date | str | None, where: str | None
 ) -> Iterator[Telemetry]:
     for record in records:
         with contextlib.suppress(NoneTaken):

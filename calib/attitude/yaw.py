@@ -144,7 +144,7 @@ def yaw_sigma(field_O_nT: FloatArray, sigma_B_nT: float, sigma_angle_rad: float)
 def average_yaw(time: TimeArray, yaw_rad: FloatArray, interval_s: float = AVERAGE_S) -> YawAverages:
     """Means over intervals counted from the first stamp; angles are averaged on the circle."""
     if not interval_s > 0:
-        raise BadInput(f"{interval_s!r}", where="interval_s", wanted="seconds, positive")
+        raise BadInput(f"{interval_s!r}", where="--average-s", wanted="seconds, positive")
     seconds = epoch.seconds_since(time, time[0])
     number, interval = np.unique(np.floor(seconds / interval_s).astype(int), return_inverse=True)
     samples = np.bincount(interval)

@@ -110,7 +110,11 @@ def _positions(telemetry: Telemetry, away: np.ndarray) -> list[Finding]:
     size = np.linalg.norm(r, axis=1)
     low = np.flatnonzero(size < LOWEST_ORBIT_KM)
     if low.size:
-        zero = " (zero often means that there was no fix)" if (size[low] < 1.0).any() else ""
+        zero = (
+            " (zero often means that there was no fix; in a column map: invalid = [0])"
+            if (size[low] < 1.0).any()
+            else ""
+        )
         first = {"lowest": LOWEST_ORBIT_KM, "size": size[low[0]], "zero": zero}
         return [trap("position_inside_earth", low, count=low.size, **first)]
     if away.size:

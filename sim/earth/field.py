@@ -226,9 +226,12 @@ def _positions(r_km: FloatArray) -> FloatArray:
     if row >= 0 and not np.isfinite(r[row]).all():
         raise BadInput(f"row {row + 1} is not finite: {r[row]}", where="positions", wanted="numbers in km")
     if row >= 0:
+        wanted = f"{LOWEST_RADIUS_KM:g} km or more"
+        if not r[row].any():
+            wanted += "; where a position is missing, a blank (in a column map: invalid = [0])"
         raise OutOfRange(
             f"row {row + 1} lies {np.linalg.norm(r[row]):.6g} km from the centre of the Earth",
             where="positions",
-            wanted=f"{LOWEST_RADIUS_KM:g} km or more",
+            wanted=wanted,
         )
     return r

@@ -43,7 +43,7 @@ _DATES = (
     "%d-%b-%Y",
     "%d %b %Y",
 )
-_TIMES = ("%H:%M:%S.%f", "%H:%M:%S")
+_TIMES = ("%H:%M:%S.%f", "%H:%M:%S", "%I:%M:%S %p", "%I:%M:%S.%f %p")  # the last two: of a 12-hour clock
 _ENDS = ("", "Z", " %z", "%z")
 _BETWEEN = (" ", "T", "-", "_")
 _FEW = 0.01  # steps back, of all: a packet that was sent twice, not a number that swings

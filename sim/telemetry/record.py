@@ -11,7 +11,7 @@ import dataclasses
 import itertools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
-from datetime import datetime
+from datetime import date
 from types import MappingProxyType
 from typing import Any, TypeGuard
 
@@ -205,7 +205,7 @@ class Telemetry(Shown):
         return to_xarray(self)
 
     def between(
-        self, start: np.datetime64 | datetime | str | None = None, end: np.datetime64 | datetime | str | None = None
+        self, start: np.datetime64 | date | str | None = None, end: np.datetime64 | date | str | None = None
     ) -> Telemetry:
         """The rows from `start` (included) to `end` (not included), UTC unless a datetime has a zone.
 
@@ -224,7 +224,7 @@ class Telemetry(Shown):
     def __getitem__(self, rows: Any) -> Telemetry:
         """`select`, or `between` for a slice of times: `record[record.sunlit == 1]`, `record["2026-03-01":"2026-03-02"]`."""
         ends = (rows.start, rows.stop) if isinstance(rows, slice) else ()
-        if any(isinstance(one, str | datetime | np.datetime64) for one in ends):
+        if any(isinstance(one, str | date | np.datetime64) for one in ends):
             return self.between(*ends)
         return self.select(rows if isinstance(rows, slice) else np.atleast_1d(rows))
 
@@ -278,7 +278,9 @@ def concatenate(records: list[Telemetry]) -> Telemetry:
     overlap in time, records of two spacecraft or two magnetometers, and corrected readings beside uncorrected ones.
     """
     if not records:
-        raise BadInput("there is no record to join", where="telemetry")
+        raise BadInput(
+            "there is no record to join", where="telemetry", wanted="a record, a file, or a list with one at least"
+        )
     ordered = sorted(records, key=lambda record: record.time[0])
     _check_one_origin(ordered)
     for one, other in itertools.pairwise(ordered):

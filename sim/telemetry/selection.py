@@ -12,7 +12,7 @@ import operator
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
+from datetime import UTC, date, datetime
 from typing import Any
 
 import numpy as np
@@ -110,8 +110,8 @@ class Selection:
 
 
 def selection(
-    start: np.datetime64 | datetime | str | None = None,
-    end: np.datetime64 | datetime | str | None = None,
+    start: np.datetime64 | date | str | None = None,
+    end: np.datetime64 | date | str | None = None,
     where: str | None = None,
 ) -> Selection:
     """The selection of rows from `start` (inclusive) to `end` (exclusive), ISO 8601 UTC, in which `where` holds.
@@ -126,8 +126,8 @@ def selection(
 
 def selected(
     record: Telemetry,
-    start: np.datetime64 | datetime | str | None = None,
-    end: np.datetime64 | datetime | str | None = None,
+    start: np.datetime64 | date | str | None = None,
+    end: np.datetime64 | date | str | None = None,
     where: str | None = None,
 ) -> Telemetry:
     """The record cut as a file is on reading; the condition takes the columns that the record's file would have."""
@@ -195,9 +195,15 @@ def _number(text: str, side: ast.expr) -> float | None:
     return float(said.replace(" ", "")) if _NUMBER.fullmatch(said) else None
 
 
-def _instant(given: np.datetime64 | datetime | str | None, where: str) -> np.datetime64 | None:
+def _instant(given: np.datetime64 | date | str | None, where: str) -> np.datetime64 | None:
     if isinstance(given, datetime):  # a Timestamp of pandas is one
         given = (given if given.tzinfo is None else given.astimezone(UTC).replace(tzinfo=None)).isoformat()
+    if isinstance(given, date):
+        given = given.isoformat()  # its midnight
     if isinstance(given, str):
         return epoch.parse_time(given, where=where)
-    return None if given is None else given.astype("datetime64[ns]")
+    if given is None or isinstance(given, np.datetime64):
+        return None if given is None else given.astype("datetime64[ns]")
+    raise BadInput(
+        f"{clip(repr(given))} is no time", where=where, wanted="ISO 8601 text, a date, a datetime or a datetime64"
+    )

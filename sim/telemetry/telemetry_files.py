@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from datetime import datetime
+from datetime import date
 from pathlib import Path
 from typing import Any, Protocol, TypeAlias, TypedDict
 
@@ -45,8 +45,8 @@ class Reading(TypedDict, total=False):
     tle: Path | str | None
     attitude: Path | str | None
     max_samples: int | None
-    start: np.datetime64 | datetime | str | None
-    end: np.datetime64 | datetime | str | None
+    start: np.datetime64 | date | str | None
+    end: np.datetime64 | date | str | None
     where: str | None
     magnetometer: int
 
@@ -62,8 +62,8 @@ def read_telemetry(
     tle: Path | str | None = None,
     attitude: Path | str | None = None,
     max_samples: int | None = None,
-    start: np.datetime64 | datetime | str | None = None,
-    end: np.datetime64 | datetime | str | None = None,
+    start: np.datetime64 | date | str | None = None,
+    end: np.datetime64 | date | str | None = None,
     where: str | None = None,
     magnetometer: int = 1,
 ) -> Telemetry:

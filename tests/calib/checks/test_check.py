@@ -255,7 +255,7 @@ TRAPS: dict[str, tuple[Callable[[Telemetry], Telemetry], str, str]] = {
     "constant": (lambda t: t.replace(mag_B_nT=np.ones((len(t), 3)) * 2e4), "constant_field", "never changes"),
     "dead axis": (lambda t: axes(t, [0, 1, 2], [1, 1, 0]), "stuck_axis", "mag_z is"),
     "sunlit": (lambda t: t.replace(sunlit=1.0 - np.array(t.sunlit)), "sunlit_flag", "where geometry says"),
-    "no fix": (no_fix, "position_inside_earth", "there was no fix"),
+    "no fix": (no_fix, "position_inside_earth", "there was no fix; in a column map: invalid = [0])"),
     "fill in a position": (filled_position, "position_jumps", "one component is -9999 km, a fill value"),
     "ten rows": (lambda t: t.select(slice(0, 10)), "too_few_samples", "10 rows have a reading"),
     "time zone": (

@@ -62,7 +62,10 @@ def made(**columns: Any) -> Telemetry:
         (lambda: made(time=TIME[:0], mag_B_nT=AXES[:0]), "time: the record has no rows"),
         (lambda: made(mag_B_nT=np.zeros((3, 2))), r"mag_B_nT: has shape \(3, 2\). Wanted: shape \(3, 3\)"),
         (lambda: made(mag_B_nT=1e200 * AXES), r"mag_B_nT: 1e\+200 in row 1 is no measurement. Wanted: a blank cell"),
-        (lambda: concatenate([]), "telemetry: there is no record to join"),
+        (
+            lambda: concatenate([]),
+            "telemetry: there is no record to join. Wanted: a record, a file, or a list with one",
+        ),
         (
             lambda: concatenate([made(), made()]),
             "telemetry: two records overlap in time: one ends at 2020-03-01T00:00:02",
@@ -71,7 +74,7 @@ def made(**columns: Any) -> Telemetry:
             lambda: concatenate([made(provenance={"spacecraft": name}) for name in "AB"]),
             "telemetry: the records are of different spacecraft: A, B. Wanted: one spacecraft",
         ),
-        (lambda: average_yaw(TIME, np.zeros(3), 0.0), "interval_s: 0.0. Wanted: seconds, positive"),
+        (lambda: average_yaw(TIME, np.zeros(3), 0.0), "--average-s: 0.0. Wanted: seconds, positive"),
         (
             lambda: compare(*[SimpleNamespace(residuals_nT=np.zeros((9, 1)))] * 2),  # type: ignore[arg-type]
             "compared by vectors: a method with attitude is needed",

@@ -207,6 +207,8 @@ def test_positions_that_cannot_be(shared_model: field.FieldModel) -> None:
         field.field_E_nT(shared_model, time, np.array([[7000.0, 0, 0], [np.nan, 0, 0]]))
     with pytest.raises(OutOfRange, match=r"row 1 lies 100 km.*3485"):
         field.field_E_nT(shared_model, time, np.array([[0, 100.0, 0]]))
+    with pytest.raises(OutOfRange, match=r"row 2 lies 0 km.*a blank \(in a column map: invalid = \[0\]\)"):
+        field.field_E_nT(shared_model, time, np.array([[7000.0, 0, 0], [0, 0, 0]]))
     with pytest.raises(BadInput, match=r"\(N, 3\) in km"):
         field.field_E_nT(shared_model, time, np.ones((4, 2)))
     with pytest.raises(BadInput, match="one for each position"):
@@ -284,3 +286,17 @@ def test_a_damaged_file_of_matlab_costs_its_reader_and_nobody_else(tmp_path: Pat
 @pytest.fixture
 def shared_model() -> field.FieldModel:
     return field.load_field("igrf14")
+
+
+def test_beyond_its_validity_the_field_goes_on_along_a_straight_line() -> None:
+    """IGRF is linear in its last five years and in its first: a line through two dates within is that of any date beyond."""
+    model, year = field.load_field("igrf14"), np.timedelta64(round(365.25 * 86400e9), "ns")
+    place = np.array([[7000.0, -500.0, 300.0]])
+    for edge, way in ((model.valid_to, 1), (model.valid_from, -1)):
+        at, inner = (field.field_E_nT(model, edge - way * back * year, place) for back in (0, 2))
+        for years in (-1.5, 3.0, 10.0):
+            time = np.array([edge + way * np.timedelta64(round(years * 365.25 * 86400e9), "ns")])
+            line = at + years / 2.0 * (at - inner)
+            np.testing.assert_allclose(
+                field.field_beyond_E_nT(model, time, place), line, rtol=0, atol=1e-6
+            )  # nT, of 4e4

@@ -12,7 +12,7 @@ from scipy.optimize import lsq_linear
 from fluxtwin.calib.checks.orientation import FAR_BETTER, Hypothesis
 from fluxtwin.calib.checks.report import Finding, trap
 from fluxtwin.calib.checks.sample import Sample
-from fluxtwin.calib.checks.unit import SMALLEST_MISFIT_nT
+from fluxtwin.calib.checks.unit import UNIT_RATIO, SMALLEST_MISFIT_nT
 from fluxtwin.calib.common.digits import plain
 from fluxtwin.calib.common.verdict import IMPOSSIBLE_S
 from fluxtwin.sim.base.types import FloatArray
@@ -27,18 +27,17 @@ def check_matrix(sample: Sample, tried: list[Hypothesis] | None = None) -> list[
     may have. Geometry that does not determine the matrix leaves both alike.
 
     sample: rows with attitude. tried: other ways to read the record, for rows of their own evenly taken from these; none
-    of them may explain the readings with a possible matrix. None: a unit that all axes share may be wrong instead.
+    of them may explain the readings with a possible matrix. None where a unit is wrong.
     """
     reading = sample.R_BN.apply(sample.field_N_nT)
     free_nT = _misfit_nT(sample.mag_nT, reading, np.inf)
     if free_nT > max(EXPLAINED * sample.typical_nT, SMALLEST_MISFIT_nT):
         return []
     gain: FloatArray = np.asarray(np.linalg.lstsq(_design(reading), sample.mag_nT / _SCALE_nT, rcond=None)[0][:3].T)
-    units = np.ones(1) if tried is not None else np.linalg.svd(gain, compute_uv=False)
-    units = units[units > 0.0]
-    possible_nT = min(
-        (_misfit_nT(sample.mag_nT / unit, reading, IMPOSSIBLE_S) for unit in units.tolist()), default=np.inf
-    )
+    units = np.linalg.svd(gain, compute_uv=False)  # one that all axes share is no matrix of this kind
+    units = np.maximum(units, 1e-12)
+    units = np.append(units[np.abs(np.log(units)) > np.log(UNIT_RATIO)], 1.0)
+    possible_nT = min(_misfit_nT(sample.mag_nT / unit, reading, IMPOSSIBLE_S) for unit in units.tolist())
     if free_nT > FAR_BETTER * possible_nT:
         return []
     for other in tried or []:

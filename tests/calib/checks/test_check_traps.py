@@ -147,6 +147,12 @@ def test_a_matrix_that_the_rows_do_not_determine_is_not_named(model: FieldModel,
     assert "magnetometer_matrix" not in {found.code for found in checked(case, model, tmp_path).traps}
 
 
+def test_a_unit_that_all_axes_share_is_no_odd_matrix(model: FieldModel, tmp_path: Path) -> None:
+    case = fly(stream(4711, "traps.counts.10"), model, "counts")
+    corrupt(case, "counts")  # of 6 nT, which a large bias explains by |B| alone
+    assert "magnetometer_matrix" not in {found.code for found in checked(case, model, tmp_path).traps}
+
+
 @pytest.mark.parametrize("rows", [30, 300])
 def test_an_attitude_that_is_stuck_is_named_and_not_the_readings_beside_it(
     rows: int, model: FieldModel, tmp_path: Path

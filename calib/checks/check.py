@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from datetime import datetime
+from datetime import date
 from pathlib import Path
 
 import numpy as np
@@ -151,8 +151,8 @@ def check_file(
     tle: Path | str | None = None,
     attitude: Path | str | None = None,
     max_samples: int | None = None,
-    start: np.datetime64 | datetime | str | None = None,
-    end: np.datetime64 | datetime | str | None = None,
+    start: np.datetime64 | date | str | None = None,
+    end: np.datetime64 | date | str | None = None,
     where: str | None = None,
     magnetometer: int = 1,
     onboard: Onboard | None = None,

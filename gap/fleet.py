@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from itertools import chain
 from typing import Any
 
@@ -67,6 +67,8 @@ class Fault:
     probability: float
     odd: bool
     """It shows only beside the others, whose size of this effect it does not share; else its own diagnosis names it."""
+    lacks: bool = False
+    """It does not show the effect at all that the others share."""
 
 
 @dataclass(frozen=True)
@@ -88,10 +90,9 @@ class Fleet(Shown):
             said = [f"No effect was found to be common to all {count} vehicles."]
         else:
             one = self.common
-            names = " or ".join(one.group)
-            said = [
-                f"Common to the {count} vehicles, so a property of the design: {names} ({percent(one.probability)})."
-            ]
+            names, lacking = " or ".join(one.group), sum(fault.lacks for fault in self.faults)
+            whose = f"{count - lacking} of the {count}" if lacking else f"the {count}"
+            said = [f"Common to {whose} vehicles, so a property of the design: {names} ({percent(one.probability)})."]
             said += [
                 f"{name} {value:.4g} ± {sigma:.2g} {unit}"
                 + (f", from vehicle to vehicle ± {spread:.2g}" if spread > 0 else ", the same in all of them")
@@ -103,6 +104,7 @@ class Fleet(Shown):
             ]
         for fault in self.faults:
             how = "differs in it from all others" if fault.odd else "has it alone"
+            how = "does not show it" if fault.lacks else how
             said.append(f"{self.vehicles[fault.vehicle]}: {fault.name} ({percent(fault.probability)}), {how}.")
         if not self.faults:
             said.append("No vehicle stands out from the others.")
@@ -116,7 +118,8 @@ class Fleet(Shown):
             "lines": list(self.lines),
             "common": common,
             "faults": [
-                {"vehicle": self.vehicles[f.vehicle], "name": f.name, "probability": f.probability, "odd": f.odd}
+                {"vehicle": self.vehicles[f.vehicle], "name": f.name, "probability": f.probability}
+                | {"odd": f.odd, "lacks": f.lacks}
                 for f in self.faults
             ],
             "ranking": [{"name": name, "worth": value, "directions": rank} for name, value, rank in self.ranking],
@@ -147,7 +150,7 @@ def fleet(vehicles: Sequence[str], diagnoses: Sequence[Diagnosis]) -> Fleet:
     best: dict[str, tuple[float, str, int]] = {}
     for value, (label, _, rank, _) in sorted(zip(values, seen, strict=True), key=lambda pair: -pair[0]):
         best.setdefault(tables[0][label].effect.name, (value, label, rank))
-    ranked, common, compared = list(best.items()), None, shared
+    ranked, common, compared, whose = list(best.items()), None, shared, set[str]()
     if ranked and ranked[0][1][0] > THRESHOLD:
         top = ranked[0][1][0]
         group = [name for name, (value, _, _) in ranked if top - value < TWENTY_TO_ONE]
@@ -158,9 +161,14 @@ def fleet(vehicles: Sequence[str], diagnoses: Sequence[Diagnosis]) -> Fleet:
         weights = dict(zip([name for name, _ in ranked], softmax([0.5 * v for _, (v, _, _) in ranked]), strict=True))
         inside = float(sum(weights.get(name, 0.0) for name in group)) * float(expit(0.5 * (top - THRESHOLD)))
         # Beside a common effect only its own size is compared: the scores of others hold what it leaves in them.
-        compared = [ranked[0][1][1]]
-        common = _sizes([table[compared[0]] for table in tables], tuple(group), stated(inside))
-    faults = _faults(diagnoses, named, tables, compared, set() if common is None else set(common.group))
+        label, whose = ranked[0][1][1], set(group)
+        compared = [label]
+        tables = [table | {label: _as_fitted(table[label], one)} for table, one in zip(tables, diagnoses, strict=True)]
+    faults = _faults(diagnoses, named, tables, compared, whose)
+    if whose:
+        lacking = {fault.vehicle for fault in faults if fault.lacks}
+        theirs = [_blank(table[label]) if vehicle in lacking else table[label] for vehicle, table in enumerate(tables)]
+        common = _sizes(theirs, tuple(group), stated(inside))
     ranking = tuple((name, value, rank) for name, (value, _, rank) in ranked)
     return Fleet(tuple(vehicles), tuple(diagnoses), common, faults, ranking)
 
@@ -170,6 +178,23 @@ def _table(one: Diagnosis, named: set[str]) -> dict[str, Score]:
     effect itself."""
     alone, beside = ({score.label: score for score in scores} for scores in one.scores)
     return alone | {label: score for label, score in beside.items() if score.effect.name not in named}
+
+
+def _as_fitted(score: Score, one: Diagnosis) -> Score:
+    """A score with the estimate and covariance of the vehicle's own diagnosis, if it has fitted the effect: a step from
+    nothing is wrong where the effect is many times the noise. Between effects, scores at nothing are compared."""
+    for found in one.effects:
+        if found.effect == score.effect and found.covariance is not None:
+            seen = np.isfinite(np.diag(found.covariance))
+            information = np.zeros_like(score.information)
+            information[np.ix_(seen, seen)] = np.linalg.inv(found.covariance[np.ix_(seen, seen)])
+            return replace(score, score=information[:, seen] @ found.theta[seen], information=information)
+    return score
+
+
+def _blank(score: Score) -> Score:
+    """Of a vehicle that says nothing of an effect."""
+    return replace(score, score=np.zeros_like(score.score), information=np.zeros_like(score.information))
 
 
 def _plain(value: Any) -> Any:
@@ -280,7 +305,13 @@ def _faults(
                 odd[vehicle] = (p, effect.name)
     spoken = {fault.vehicle for fault in faults}
     faults += [
-        Fault(vehicle, name, stated(1.0 - p / limit * FALSE_ALARM), odd=True)
+        Fault(
+            vehicle,
+            name,
+            stated(1.0 - p / limit * FALSE_ALARM),
+            odd=True,
+            lacks=bool(known) and not known & named[vehicle],
+        )
         for vehicle, (p, name) in odd.items()
         if vehicle not in spoken
     ]

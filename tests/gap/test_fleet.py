@@ -13,7 +13,7 @@ from worlds import TUMBLING, tumbling
 from fluxtwin.gap.diagnose import diagnose
 from fluxtwin.gap.fleet import Fleet, _apart, fleet
 from fluxtwin.gap.linear.projection import explained_in_units
-from fluxtwin.gap.records.diagnosis import Diagnosis, FoundEffect, Score
+from fluxtwin.gap.records.diagnosis import Diagnosis, EffectParameter, FoundEffect, Score
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.earth.field import load_field
 from fluxtwin.sim.effects.catalogue import find_effect
@@ -174,3 +174,33 @@ def test_two_vehicles_are_no_fleet(perfect: Diagnosis) -> None:
     three = fleet(["a", "b", "<c>"], [perfect] * 3)
     assert three.vehicles == ("a", "b", "<c>")
     assert "No vehicle stands out" in three.report() and "No vehicle stands out" in three._repr_html_()
+
+
+def fitted(one: Diagnosis, late_s: float) -> Diagnosis:
+    """With the effect named by the vehicle itself, at a size that is known to 0.1 s."""
+    size = EffectParameter(late_s, SIGMA_S, "s")
+    cause = replace(
+        named_as("time_tag_offset"), parameters={"offset": size}, effect=LATE, covariance=np.array([[SIGMA_S**2]])
+    )
+    return replace(one, effects=(cause,))
+
+
+def test_a_large_effect_has_the_size_that_each_vehicle_has_fitted(perfect: Diagnosis) -> None:
+    """A step from nothing is off by 5 % of an effect of a hundred sigma: five sigma."""
+    rng, sizes = np.random.default_rng(8), np.full(4, 10.0)
+    vehicles = [fitted(vehicle(perfect, rng, 1.05 * size), size + rng.normal() * SIGMA_S) for size in sizes]
+    found = fleet([f"v{k}" for k in range(4)], vehicles)
+    assert found.common is not None and found.common.name == "time_tag_offset"
+    assert abs(found.common.mean[0] - 10.0) < 4.0 * found.common.mean_sigma[0]
+    assert found.common.spread[0] == 0.0
+    assert found.faults == ()
+
+
+def test_a_vehicle_that_lacks_what_the_others_share_is_not_counted_among_them(perfect: Diagnosis) -> None:
+    rng = np.random.default_rng(9)
+    vehicles = [fitted(vehicle(perfect, rng, 10.0), 10.0 + rng.normal() * SIGMA_S) for _ in range(7)]
+    found = fleet([f"v{k}" for k in range(8)], [*vehicles, replace(vehicle(perfect, rng, 0.0), effects=())])
+    assert found.common is not None
+    assert abs(found.common.mean[0] - 10.0) < 4.0 * found.common.mean_sigma[0]
+    assert found.lines[0].startswith("Common to 7 of the 8 vehicles")
+    assert found.lines[-1].startswith("v7: time_tag_offset") and found.lines[-1].endswith("does not show it.")

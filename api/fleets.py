@@ -93,7 +93,10 @@ def tables(found: Fleet) -> list[Table]:
         rows = [
             [
                 Path(name).name,
-                *(measured(common.each[v, p], common.each_sigma[v, p]) for p in shown),
+                *(
+                    measured(common.each[v, p], common.each_sigma[v, p]) if np.isfinite(common.each[v, p]) else "none"
+                    for p in shown
+                ),
                 ", ".join(" / ".join(one.group) for one in found.diagnoses[v].effects) or found.diagnoses[v].verdict,
             ]
             for v, name in enumerate(found.vehicles)

@@ -29,7 +29,7 @@ from fluxtwin.sim.base.errors import OutOfRange
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import epoch, frames
 from fluxtwin.sim.earth.constants import EARTH_RATE_RAD_S
-from fluxtwin.sim.earth.field import YEAR, FieldModel, field_beyond_E_nT, field_N_nT
+from fluxtwin.sim.earth.field import FieldModel, field_beyond_E_nT, field_N_nT
 from fluxtwin.sim.earth.tle import TleSeries, along_track_sigma_km
 from fluxtwin.sim.telemetry.origin import Origin
 from fluxtwin.sim.telemetry.record import Telemetry
@@ -194,7 +194,7 @@ def epochs(sample: Sample, model: FieldModel) -> dict[float, FloatArray]:
     that of a field which turns about the pole."""
     r_E_km, later = sample.R_EN.apply(sample.r_N_km), {}
     for years in EPOCH_YEARS:
-        time = sample.time + np.timedelta64(round(years * float(YEAR.astype("int64"))), "ns")
+        time = sample.time + epoch.years(years)
         field = sample.R_EN.inv().apply(field_beyond_E_nT(model, time, r_E_km))
         later[years] = field if sample.q_NB is None else sample.R_BN.apply(field)
     return later

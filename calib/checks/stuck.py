@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from fluxtwin.calib.checks.report import Finding, trap
-from fluxtwin.calib.checks.sample import FEWEST, comparable, rms
+from fluxtwin.calib.checks.sample import FEWEST, Sample, comparable, rms
 from fluxtwin.sim.base.errors import OutOfRange
 from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
 from fluxtwin.sim.earth import epoch
@@ -93,23 +93,24 @@ def check_stuck_attitude(telemetry: Telemetry, model: FieldModel, usable: BoolAr
         return [], telemetry
     same = _stuck(np.array(telemetry.q_NB), telemetry.time)
     stuck = np.zeros_like(same)
-    for first, last in runs(same, telemetry.time):
-        stretch = np.zeros_like(same)
-        stretch[first : last + 1] = True
-        try:
-            moving, still = (
-                comparable(telemetry, model, usable & rows, with_attitude=True) for rows in (~same, stretch)
-            )
-        except OutOfRange:  # which is named elsewhere
+    if not same.any():
+        return [], telemetry
+    try:
+        moving = comparable(telemetry, model, usable & ~same, with_attitude=True)
+        if moving is None or len(moving) < FEWEST:
             return [], telemetry
-        if moving is None or still is None or len(moving) < FEWEST:
-            continue
-        (X, expected), (X_still, expected_still) = (
-            (np.column_stack([one.mag_nT / 1e4, np.ones(len(one))]), one.R_BN.apply(one.field_N_nT))
-            for one in (moving, still)
-        )
+        X, expected = _regression(moving)
         fit = np.linalg.lstsq(X, expected, rcond=1e-10)[0]
-        stuck |= stretch & (rms(expected_still - X_still @ fit) > STUCK_MISFIT * rms(expected - X @ fit))
+        most_nT = STUCK_MISFIT * rms(expected - X @ fit)
+        for first, last in runs(same, telemetry.time):
+            stretch = np.zeros_like(same)
+            stretch[first : last + 1] = True
+            still = comparable(telemetry, model, usable & stretch, with_attitude=True)
+            if still is not None:
+                X, expected = _regression(still)
+                stuck |= stretch & (rms(expected - X @ fit) > most_nT)
+    except OutOfRange:  # which is named elsewhere
+        return [], telemetry
     if not stuck.any():
         return [], telemetry
     rows = np.flatnonzero(stuck)
@@ -117,6 +118,11 @@ def check_stuck_attitude(telemetry: Telemetry, model: FieldModel, usable: BoolAr
     said = {"count": rows.size, "first": first, "last": last, **_lengths(stuck, telemetry.time)}
     blanked = telemetry.replace(q_NB=np.where(stuck[:, None], np.nan, telemetry.q_NB), origin=telemetry.origin)
     return [trap("stuck_attitude", rows, **said)], blanked
+
+
+def _regression(sample: Sample) -> tuple[FloatArray, FloatArray]:
+    """(n, 4) readings [10 uT] and one, and (n, 3) the field [nT] that they should be, by the attitude."""
+    return np.column_stack([sample.mag_nT / 1e4, np.ones(len(sample))]), sample.R_BN.apply(sample.field_N_nT)
 
 
 _OWN_FILE = (

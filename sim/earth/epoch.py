@@ -140,6 +140,11 @@ def days_mjd2000(time: TimeArray | np.datetime64) -> FloatArray:
     return (as_times(time) - MJD2000).astype("int64") / _NS_PER_DAY
 
 
+def years(count: float) -> np.timedelta64:
+    """So many years of 365.25 days."""
+    return np.timedelta64(round(count * (365.25 * 86400e9)), "ns")
+
+
 def iso(time: np.datetime64, unit: str = "s") -> str:
     """ISO 8601 with a Z, cut to `unit`."""
     return f"{np.datetime_as_string(np.datetime64(time, 'ns'), unit=unit)}Z"  # type: ignore[call-overload]

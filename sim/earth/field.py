@@ -24,8 +24,6 @@ from fluxtwin.sim.earth.field_models import FieldModel, load_field
 
 LOWEST_RADIUS_KM = 3485.0
 """Core-mantle boundary: below it the field has sources and the series means nothing."""
-YEAR = np.timedelta64(round(365.25 * 86400e9), "ns")
-"""Of 365.25 days."""
 _Rows = slice | np.ndarray
 __all__ = [
     "FieldModel",
@@ -59,11 +57,11 @@ def field_beyond_E_nT(model: FieldModel, time: TimeArray, r_E_km: FloatArray) ->
 
     For a model that is linear between knots, such as IGRF, that is the straight line of the outermost interval.
     """
-    first, last = model.valid_from, model.valid_to
+    first, last, year = model.valid_from, model.valid_to, epoch.years(1.0)
     field_nT = field_E_nT(model, np.clip(time, first, last), r_E_km)
     for outside, edge, inner in (
-        (time > last, last, max(last - YEAR, first)),
-        (time < first, first, min(first + YEAR, last)),
+        (time > last, last, max(last - year, first)),
+        (time < first, first, min(first + year, last)),
     ):
         if outside.any():
             there = r_E_km[outside]

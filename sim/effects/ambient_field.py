@@ -10,7 +10,7 @@ import numpy as np
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.earth.constants import FIELD_RADIUS_KM
-from fluxtwin.sim.earth.field import YEAR, field_beyond_E_nT, field_E_nT, field_N_nT
+from fluxtwin.sim.earth.field import field_beyond_E_nT, field_E_nT, field_N_nT
 from fluxtwin.sim.earth.field_models import FieldModel, load_field
 from fluxtwin.sim.effects.base import Effect, Parameter, SignalEffect
 from fluxtwin.sim.effects.signal import Setting, Signal
@@ -42,7 +42,7 @@ class FieldEpoch(SignalEffect):
     def apply(self, signal: Signal, theta: FloatArray) -> Signal:
         r_E_km = signal.R_EN.apply(signal.r_N_km)
         time = signal.sampled_time
-        later = time + np.timedelta64(round(float(theta[0]) * float(YEAR.astype("int64"))), "ns")
+        later = time + epoch.years(float(theta[0]))
         model = signal.setting.model
         change_E = field_beyond_E_nT(model, later, r_E_km) - field_E_nT(model, time, r_E_km)
         return signal.with_ambient(signal.R_EN.inv().apply(change_E))

@@ -435,7 +435,7 @@ def test_the_stretch_at_the_full_rate_is_the_middle_of_the_record(
 
 @pytest.mark.parametrize("without", [0.0, 0.1])
 def test_the_axis_that_is_too_noisy_is_named_by_the_rows_with_attitude(bench: Bench, without: float) -> None:
-    """Rows without attitude measure the size of the field alone, in which no axis can be told from the others."""
+    """Rows without attitude measure the size of the field alone, in which the axes cannot be distinguished."""
     rows, rng = bench.problem.rows, np.random.default_rng(61)
     measured = np.ones((rows, 3), dtype=bool)
     measured[rng.random(rows) < without, 1:] = False

@@ -23,7 +23,8 @@ from fluxtwin.calib.checks.orientation import _mountings
 from fluxtwin.calib.checks.report import CheckReport
 from fluxtwin.calib.checks.sample import comparable
 from fluxtwin.sim.base.random_streams import stream
-from fluxtwin.sim.earth.field import YEAR, FieldModel, field_beyond_E_nT, field_N_nT, load_field
+from fluxtwin.sim.earth import epoch
+from fluxtwin.sim.earth.field import FieldModel, field_beyond_E_nT, field_N_nT, load_field
 from fluxtwin.sim.earth.frames import q_from_rotation, rotation_EN, rotation_from_q
 from fluxtwin.sim.earth.tle import read_elements, read_tle
 from fluxtwin.sim.telemetry.origin import Origin
@@ -110,7 +111,7 @@ def test_the_field_of_another_year_is_no_wrong_clock(
     case = flown(model, GOOD, number)
     assert case.q is not None
     R_EN = rotation_EN(case.time)
-    r_E_km, years_later = R_EN.apply(case.r_N), case.time + years * YEAR
+    r_E_km, years_later = R_EN.apply(case.r_N), case.time + epoch.years(years)
     change_E = field_beyond_E_nT(model, years_later, r_E_km) - field_beyond_E_nT(model, case.time, r_E_km)
     case.mag = case.mag + rotation_from_q(case.q).apply(R_EN.inv().apply(change_E))
     report = checked(case, model, tmp_path)

@@ -72,6 +72,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if arguments is None:
         processes.start_and_end_quickly()
     _be_plain()
+    if arguments is None:
+        console.heed_no_reader()
     try:
         processes.stop_if_asked()
         given = None if arguments is None else list(arguments)

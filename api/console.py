@@ -7,7 +7,9 @@ standard output; progress and messages go to standard error. NO_COLOR is honoure
 
 from __future__ import annotations
 
+import io
 import math
+import os
 import re
 import shlex
 import shutil
@@ -32,7 +34,37 @@ if TYPE_CHECKING:
 _QUIET_SECONDS = 1.0  # shorter work shows no progress at all
 GIVEN: list[str] = []
 """The arguments of this call of the command line."""
+_unread: set[int] = set()
+"""Streams (1, 2) of this process whose reader has gone."""
 _NUMBER = re.compile(r"-?\d+(\.\d+)?(e[+-]\d+)?")
+
+
+class _Patient(io.FileIO):
+    """A stream of this process: once its reader has gone, as `| head` does, what else is written to it goes nowhere, and the
+    work goes on to its files and its exit status."""
+
+    def write(self, data: Any) -> int:
+        try:
+            return int(super().write(data) or 0)
+        except BrokenPipeError:
+            nowhere = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(nowhere, self.fileno())
+            os.close(nowhere)
+            _unread.add(self.fileno())
+            return memoryview(data).nbytes
+
+
+def heed_no_reader() -> None:
+    """From now on standard output and error, where they are files or pipes, may lose their readers."""
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        buffer = getattr(stream, "buffer", None)
+        ours = stream is getattr(sys, f"__{name}__")  # which keeps it open
+        if ours and isinstance(getattr(buffer, "raw", buffer), io.FileIO):
+            stream.flush()
+            how = {"encoding": stream.encoding, "errors": stream.errors, "line_buffering": stream.line_buffering}
+            patient = io.BufferedWriter(_Patient(stream.fileno(), "w", closefd=False))
+            setattr(sys, name, io.TextIOWrapper(patient, write_through=stream.write_through, **how))
 
 
 def command_line() -> str:
@@ -105,12 +137,15 @@ class Output:
         self.force = force
         """The user's word against a refusal that names `--force`."""
         self._noted: set[str] = set()
+        self._files = False  # whether any was asked for, beside what goes to standard output
         self.talks = json_target not in ("-", "/dev/stdout")
 
     def claim(self, targets: Mapping[str, tuple[Path | str | None, Kind]], inputs: Iterable[Path | str | None]) -> None:
         """As `outputs.claim`, with the JSON among the outputs."""
         from fluxtwin import outputs
 
+        self._files = any(path is not None for path, _ in targets.values())
+        self._files |= self.json_target is not None and self.talks
         outputs.claim({**targets, "--json": (self.json_target, outputs.JSON)}, inputs, force=self.force)
 
     def say(self, text: str = "") -> None:
@@ -119,9 +154,12 @@ class Output:
             print(clean(text))
 
     def line(self, text: str) -> None:
-        """One line of a result that goes on: shown at once, also in a file or a pipe."""
+        """One line of a result that goes on: shown at once, also in a file or a pipe. Raises BrokenPipeError where nobody
+        reads it any more and no file was asked for."""
         self.say(text)
         sys.stdout.flush()
+        if 1 in _unread and not self._files:
+            raise BrokenPipeError
 
     def prose(self, *texts: str, indent: str = "") -> None:
         """Sentences of a result: on a terminal they are broken between words, later lines behind `indent`."""

@@ -122,8 +122,9 @@ def follow(
             changed = hours.take(block)
     whole = rows.all()
     line = _line(changed, name, watch.rows, whole)
-    said(line)
-    said(f"diagnosing {len(whole)} rows")
+    with contextlib.suppress(BrokenPipeError):  # an alarm is one, and the diagnosis due, whether or not anyone reads it
+        said(line)
+        said(f"diagnosing {len(whole)} rows")
     if known is not None:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # that it is of another time is what is asked

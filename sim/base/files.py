@@ -166,8 +166,8 @@ def _into_stream(path: Path, write: Callable[[Path], object]) -> Path:
             number = _descriptor(path)
             with open(temporary, "rb") as source, open(path if number is None else os.dup(number), "wb") as sink:
                 shutil.copyfileobj(source, sink)
-        except BrokenPipeError:  # the reader had enough
-            raise
+        except BrokenPipeError:  # the reader had enough: of what else there is to write others may want more
+            pass
         except OSError as error:
             raise _unwritable(path, error) from None
     return path

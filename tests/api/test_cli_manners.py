@@ -200,6 +200,23 @@ def test_a_reader_that_goes_away_is_no_error() -> None:
     assert done.returncode == 0
 
 
+@pytest.mark.parametrize(("command", "status"), [(POINT, 0), (("check", "none.csv"), 2)])
+@pytest.mark.parametrize("both", [False, True])
+def test_without_a_reader_files_are_written_and_the_status_is_the_command_s(
+    command: tuple[str, ...], status: int, both: bool, tmp_path: Path
+) -> None:
+    """Unbuffered, so that the first line meets the closed pipe; standard error may go into it, too."""
+    read_end, write_end = os.pipe()
+    os.close(read_end)
+    error = write_end if both else subprocess.PIPE
+    asked = [sys.executable, "-u", "-m", "fluxtwin", *command, "--json", str(tmp_path / "x.json")]
+    done = subprocess.run(asked, stdout=write_end, stderr=error, text=True, check=False, cwd=tmp_path)
+    os.close(write_end)
+    assert done.returncode == status
+    assert (tmp_path / "x.json").exists() == (status == 0)
+    assert both or ("Traceback" not in done.stderr and "ignored" not in done.stderr)
+
+
 @pytest.mark.skipif(os.name != "posix", reason="a shell closes the stream")
 def test_a_closed_standard_output_is_no_error() -> None:
     command = f"{sys.executable} -m fluxtwin {' '.join(POINT)} --json - >&-"

@@ -151,3 +151,19 @@ def test_standard_input_and_an_interrupt(record: Telemetry, tmp_path: Path) -> N
     running.send_signal(signal.SIGINT)
     _, said = running.communicate(timeout=60)
     assert running.returncode == 130 and said.endswith(b"interrupted; nothing half-written is left behind\n"), said
+
+
+@pytest.mark.parametrize("to_a_file", [True, False])
+def test_without_a_reader_it_ends_unless_a_file_was_asked_for(
+    noisy: Telemetry, tmp_path: Path, to_a_file: bool
+) -> None:
+    read_end, write_end = os.pipe()
+    os.close(read_end)
+    rows = fluxtwin.write(noisy, tmp_path / "rows.csv")
+    command = [sys.executable, "-m", "fluxtwin", "diagnose", "--follow", "-", "--noise-nT", "20"]
+    command += ["--json", str(tmp_path / "x.json")] if to_a_file else []
+    with open(rows, "rb") as stream:
+        done = subprocess.run(command, stdin=stream, stdout=write_end, stderr=subprocess.PIPE, text=True, check=False)
+    os.close(write_end)
+    assert (done.returncode, (tmp_path / "x.json").exists()) == ((1, True) if to_a_file else (0, False)), done.stderr
+    assert "Traceback" not in done.stderr and "ignored" not in done.stderr

@@ -28,6 +28,7 @@ from fluxtwin.calib.checks.clock import (
     still_off,
 )
 from fluxtwin.calib.checks.evidence import Evidence, MODEL_nT, scalar_evidence, vector_evidence
+from fluxtwin.calib.checks.jump import check_jump
 from fluxtwin.calib.checks.matrix import check_matrix
 from fluxtwin.calib.checks.orientation import FAR_BETTER, LOCAL, ORIENTATION, SINGLE_COST, Hypothesis, orientations
 from fluxtwin.calib.checks.outliers import check_outliers, without_gross_outliers
@@ -132,6 +133,8 @@ def check_field(telemetry: Telemetry, model: FieldModel, usable: BoolArray) -> l
     compared = _by_vectors(chosen, telemetry, model, origin) if with_attitude else _by_size(chosen, model, origin)
     if not any(found.severity == "trap" for found in compared):
         compared += check_clock(chosen, model, origin)
+    if any(found.code in ("clock", "epoch_off") for found in compared):
+        compared = check_jump(chosen, model, origin) or compared
     if not any(found.severity == "trap" for found in compared):
         compared += [*outliers, *check_of_date(telemetry)]
     return [*findings, *compared]

@@ -24,6 +24,8 @@ FLAG_S, FLAG_ROWS = 120.0, 3
 VELOCITY_RATIO = 0.02
 """Velocity against the derivative of position; Earth-fixed velocity labelled as inertial is off by 6 %."""
 _MAX_ROWS = 4000
+GAP_STEPS = 5.0
+"""A step between stamps that is so many times the usual one is a gap."""
 
 
 def check_readings(telemetry: Telemetry) -> list[Finding]:
@@ -87,7 +89,7 @@ def _steps(telemetry: Telemetry) -> list[Finding]:
         return findings
     step = np.diff(telemetry.time.astype("int64")) * 1e-9
     usual = float(np.median(step))
-    gaps = np.flatnonzero(step > 5.0 * usual)
+    gaps = np.flatnonzero(step > GAP_STEPS * usual)
     if gaps.size:
         findings.append(note("gaps", gaps, count=gaps.size, usual=usual, longest=step.max()))
     steady = np.abs(step - usual) < 0.01 * usual

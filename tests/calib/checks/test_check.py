@@ -416,6 +416,22 @@ def test_a_shift_that_leaves_more_than_a_right_clock_would_is_doubted(model: Fie
     assert found.code == "clock" and "more than a right clock" in found.text, found.text
 
 
+@pytest.mark.parametrize(
+    ("seconds", "said"), [(600, "10 min too late (to within"), (3600, "1 h too late (a time zone)")]
+)
+def test_a_clock_that_jumps_is_no_late_clock(seconds: int, said: str, model: FieldModel) -> None:
+    """Half of the stamps late beyond a gap is a jump; with all of them late the gap is only a gap."""
+    record = good(model, 5, year=2026, rows=600, step_s=10.0, mode="tumble")
+    late = np.timedelta64(seconds, "s")
+    beyond = np.arange(len(record)) >= 300
+    (found,) = check_telemetry(record.replace(time=record.time + late * beyond), model).traps
+    assert found.code == "clock" and f"and {said}" in found.text, found.text
+    assert "the stamps are right up to the gap before" in found.text and "time.offset_s =" not in found.text
+    gap = record.select(np.flatnonzero((np.arange(600) < 250) | (np.arange(600) >= 350)))
+    (found,) = check_telemetry(gap.replace(time=gap.time + late), model).traps
+    assert found.code == "clock" and f"time.offset_s = -{seconds}" in found.text, found.text
+
+
 def test_what_was_not_compared_is_not_called_clean(model: FieldModel) -> None:
     record = good(model)
     assert check_telemetry(record, model).clean == "clean: no trap found"

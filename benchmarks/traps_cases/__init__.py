@@ -366,6 +366,21 @@ def _stuck_axis(case: Case) -> Wanted:
     return Wanted(("stuck_axis",), f"mag_{'xyz'[axis]}")
 
 
+def _stretch(case: Case) -> Wanted:
+    """One axis reversed, or two swapped, in 30 to 400 rows, as after a restart."""
+    rows = min(int(case.rng.integers(30, 400)), len(case.time) // 4)
+    first, axis = int(case.rng.integers(1, len(case.time) - rows)), int(case.rng.integers(3))
+    part, order = slice(first, first + rows), [0, 1, 2]
+    case.mag = case.mag.copy()
+    if case.rng.random() < 0.5:
+        case.mag[part, axis] *= -1.0
+    else:
+        order[axis], order[axis - 1] = order[axis - 1], order[axis]
+        case.mag[part] = case.mag[part][:, order]
+    case.label += f", {rows} rows from row {first + 1}, axis {'xyz'[axis]}, order {order}"
+    return Wanted(("turned_stretch",), "turned")
+
+
 def _all_columns(case: Case) -> Wanted:
     case.shift_columns = int(case.rng.choice([-1, 1]))
     return Wanted(("shifted_columns",), "one place", refusal="one place")
@@ -421,6 +436,7 @@ KINDS: dict[str, Kind] = {
     "outliers of 30 to 65 uT": Kind(_outliers("gross"), True),
     "outliers of 15 to 40 sigma": Kind(_outliers("faint"), True),
     "one axis stuck": Kind(_stuck_axis, True),
+    "a stretch in other axes": Kind(_stretch),
     "rows swapped": Kind(_rows_swapped, True),
     "seconds: GPS 18 s": Kind(_stamps(18.0, unseen=r"18 s.* would not show"), apart=True),
     "seconds: TAI 37 s": Kind(_stamps(37.0, unseen=r"37 s.* would not show"), apart=True),

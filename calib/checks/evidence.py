@@ -29,7 +29,7 @@ MODEL_nT = 5.0
 """The least white error: no field model knows the crust, the ring current and the day's currents better."""
 FLAT = 1e-3
 """The least slope of a form, against division by zero: that of a calibrated magnetometer is 1."""
-_SCALE_nT = 1e4
+SCALE_nT = 1e4
 """Unit of the regressors, so that all columns are of order one."""
 
 
@@ -47,11 +47,11 @@ class Evidence:
 
 def vector_evidence(seconds: FloatArray, mag_nT: FloatArray, predicted_nT: FloatArray) -> Evidence:
     """Evidence of predictions (K, n, 3) of the body field for readings (n, 3) at `seconds` (n,)."""
-    design = of_parameters(mag_nT / _SCALE_nT)
+    design = of_parameters(mag_nT / SCALE_nT)
     return compare(seconds, design, np.moveaxis(predicted_nT - mag_nT, 0, 2), VECTOR_SIGMAS_nT, mag_nT, step_nT(mag_nT))
 
 
-VECTOR_SIGMAS_nT = np.array([S_SIGMA * _SCALE_nT] * 9 + [BIAS_SIGMA_nT] * 3)
+VECTOR_SIGMAS_nT = np.array([S_SIGMA * SCALE_nT] * 9 + [BIAS_SIGMA_nT] * 3)
 
 
 def scalar_evidence(seconds: FloatArray, mag_nT: FloatArray, size_nT: FloatArray) -> Evidence:
@@ -60,15 +60,15 @@ def scalar_evidence(seconds: FloatArray, mag_nT: FloatArray, size_nT: FloatArray
     Readings on a short arc leave the form free to be as flat there as it likes, and then it takes up their noise too. So
     the misfit is theirs: the rms that is left, over the slope of the form (Sampson's distance; see `slope_of_form`).
     """
-    m, typical = mag_nT / _SCALE_nT, 2.0 * size_nT[0]
+    m, typical = mag_nT / SCALE_nT, 2.0 * size_nT[0]
     pairs = [m[:, i] * m[:, j] for i, j in itertools.combinations_with_replacement(range(3), 2)]
-    design = np.column_stack([*pairs, m, np.ones(len(m))]) * (_SCALE_nT / typical)[:, None]
+    design = np.column_stack([*pairs, m, np.ones(len(m))]) * (SCALE_nT / typical)[:, None]
     off = (size_nT**2 - np.sum(mag_nT**2, axis=1)) / typical
-    quadratic, linear, constant = 3.0 * S_SIGMA, 2.0 * BIAS_SIGMA_nT / _SCALE_nT, (BIAS_SIGMA_nT / _SCALE_nT) ** 2
-    sigmas = _SCALE_nT * np.array([quadratic] * 6 + [linear] * 3 + [3.0 * constant])
+    quadratic, linear, constant = 3.0 * S_SIGMA, 2.0 * BIAS_SIGMA_nT / SCALE_nT, (BIAS_SIGMA_nT / SCALE_nT) ** 2
+    sigmas = SCALE_nT * np.array([quadratic] * 6 + [linear] * 3 + [3.0 * constant])
     found = compare(seconds, design[:, None, :], off.T[:, None, :], sigmas, None, step_nT(mag_nT))
-    forms = found.coefficients_nT.T / _SCALE_nT + np.repeat([1.0, 0.0, 1.0, 0.0, 1.0, 0.0], [1, 2, 1, 1, 1, 4])
-    slopes = [slope_of_form(m, form[:9]) / (typical / _SCALE_nT)[:, None] for form in forms]
+    forms = found.coefficients_nT.T / SCALE_nT + np.repeat([1.0, 0.0, 1.0, 0.0, 1.0, 0.0], [1, 2, 1, 1, 1, 4])
+    slopes = [slope_of_form(m, form[:9]) / (typical / SCALE_nT)[:, None] for form in forms]
     steep = np.array([np.sqrt(np.mean(np.sum(slope**2, axis=1))) for slope in slopes])
     return replace(found, misfit_nT=found.misfit_nT / np.maximum(steep, FLAT))
 

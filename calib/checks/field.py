@@ -34,6 +34,7 @@ from fluxtwin.calib.checks.orientation import FAR_BETTER, LOCAL, ORIENTATION, SI
 from fluxtwin.calib.checks.outliers import check_outliers, without_gross_outliers
 from fluxtwin.calib.checks.report import Finding, named, note, trap
 from fluxtwin.calib.checks.sample import FEWEST, MAX_ROWS, Sample, comparable, rms
+from fluxtwin.calib.checks.stretch import check_stretch
 from fluxtwin.calib.checks.unit import SMALLEST_MISFIT_nT, blind_magnitude, check_unit
 from fluxtwin.sim.base.errors import OutOfRange
 from fluxtwin.sim.base.types import BoolArray, FloatArray
@@ -128,6 +129,8 @@ def check_field(telemetry: Telemetry, model: FieldModel, usable: BoolArray) -> l
     chosen = posed if posed is not None and with_attitude else sample
     if len(chosen) < FEWEST:
         return findings
+    if with_attitude and (turned := check_stretch(chosen)):
+        return [*findings, *turned]
     outliers, faulty = check_outliers(telemetry, chosen, model, usable)
     chosen = without_gross_outliers(chosen.take(~faulty[chosen.rows]))
     compared = _by_vectors(chosen, telemetry, model, origin) if with_attitude else _by_size(chosen, model, origin)

@@ -31,6 +31,8 @@ ODD_MOUNTING_COST, ANY_MOUNTING_COST = 1.0, 6.0
 """More against turns of 45 deg, and against a turn by any other angle."""
 ORIENTATION = ("attitude_convention", "magnetometer_axes")
 """Codes of the traps of this module."""
+PLAIN_MOUNTINGS = 48
+"""The first of `mountings`, by quarter turns and reflections."""
 _SHORT_LIST = 40
 _SAME_TURN_RAD = np.radians(12.0)
 """A turn that fits best is the listed one that lies so near: misalignments and attitude errors are smaller."""
@@ -71,10 +73,10 @@ class _Mounting:
 
 def orientations(sample: Sample, origin: Origin) -> list[Hypothesis]:
     """The record as it stands first; then every single thing wrong, and the pairs that leave the least misfit."""
-    conventions, mountings = _conventions(sample, origin), _mountings()
-    matrices = np.stack([mounting.matrix for mounting in mountings])
+    conventions, mounted = _conventions(sample, origin), mountings()
+    matrices = np.stack([mounting.matrix for mounting in mounted])
     m = sample.mag_nT - sample.mag_nT.mean(axis=0)
-    fields, misfits = [], np.empty((len(conventions), len(mountings)))
+    fields, misfits = [], np.empty((len(conventions), len(mounted)))
     turned: list[tuple[float, int, FloatArray]] = []
     for i, convention in enumerate(conventions):
         field = convention.R_BN.apply(sample.field_N_nT)
@@ -86,12 +88,12 @@ def orientations(sample: Sample, origin: Origin) -> list[Hypothesis]:
         misfits[i] = np.sqrt(np.maximum(np.sum(m**2) - gain**2 / power, 0.0))
         turn = best_turn(cross)
         turned.append((float(np.sum(m**2) - np.sum(turn * cross) ** 2 / power), i, turn))
-    whole = np.array([[one.things + bool(two.words) for two in mountings] for one in conventions])
+    whole = np.array([[one.things + bool(two.words) for two in mounted] for one in conventions])
     order = np.argsort(misfits * (1.0 + 0.1 * whole), axis=None)[:_SHORT_LIST]
-    listed = [divmod(int(place), len(mountings)) for place in order]
+    listed = [divmod(int(place), len(mounted)) for place in order]
     listed += [(int(i), int(j)) for i, j in np.argwhere(whole <= 1)]
     pairs = [(0, 0), *(pair for pair in dict.fromkeys(listed) if pair != (0, 0))]
-    out = [_hypothesis(conventions[i], mountings[j], fields[i], origin) for i, j in pairs]
+    out = [_hypothesis(conventions[i], mounted[j], fields[i], origin) for i, j in pairs]
     _, i, turn = min(turned, key=lambda one: one[0])
     return [*out, *_any_turn(conventions[i], turn, fields[i], matrices, origin)]
 
@@ -127,7 +129,7 @@ def _any_turn(
 
 
 @cache
-def _mountings() -> list[_Mounting]:
+def mountings() -> list[_Mounting]:
     """The 48 signed permutations of three axes, the plain one first, and the 24 turns of 90 deg after each of 45."""
     out, proper = [], []
     for order in itertools.permutations(range(3)):

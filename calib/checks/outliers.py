@@ -134,7 +134,7 @@ def _left(
     for column in beside.T:
         steady |= _range(column) > 0.0
     some = _some(steady)
-    fit = np.column_stack([_robust(_terms(mag, beside, some), one) for one in predicted[some].T])
+    fit = np.column_stack([robust_fit(_terms(mag, beside, some), one) for one in predicted[some].T])
     jumps = np.linalg.norm(_range(beside @ fit[4:]), axis=1) if whole else None
     left = predicted
     for part in _in_turn(rows):
@@ -164,7 +164,7 @@ def _ellipsoid(mag_nT: FloatArray, size_nT: FloatArray, beside: FloatArray) -> F
     pairs = [m[:, i] * m[:, j] for i, j in itertools.combinations_with_replacement(range(width), 2)]
     design = np.column_stack([*pairs, m, np.ones(len(m))]) / (2.0 * size)[:, None]
     some = _some(_steady(mag_nT))
-    form = _robust(design[some], (size / 2.0)[some])
+    form = robust_fit(design[some], (size / 2.0)[some])
     left: FloatArray = 1e4 * (size / 2.0 - design @ form)
     slope = np.linalg.norm(slope_of_form(m, form[:-1])[:, :3], axis=1, keepdims=True) / (2.0 * size)[:, None]
     return np.asarray(left / np.maximum(_running_median(slope)[:, 0], FLAT))
@@ -189,13 +189,16 @@ def _some(trusted: BoolArray) -> np.ndarray:
     return np.asarray(rows[np.linspace(0, rows.size - 1, min(rows.size, _FIT_ROWS)).astype(int)])
 
 
-def _robust(X: FloatArray, y: FloatArray) -> FloatArray:
-    """Coefficients of least absolute deviations, by reweighting."""
+def robust_fit(X: FloatArray, y: FloatArray, sigmas: FloatArray | None = None) -> FloatArray:
+    """Coefficients (c,) of least absolute deviations, by reweighting; sigmas (c,) of a prior about zero, none by default."""
+    prior = np.zeros((0, X.shape[1])) if sigmas is None else np.diag(1.0 / sigmas)
+    nothing = np.zeros(len(prior))
     fit = np.linalg.lstsq(X, y, rcond=1e-10)[0]
     for _ in range(12):
         left = np.abs(y - X @ fit)
         weight = 1.0 / np.sqrt(np.maximum(left, 0.1 * np.median(left) + 1e-12))
-        fit = np.linalg.lstsq(X * weight[:, None], y * weight, rcond=1e-10)[0]
+        rows = np.concatenate([X * weight[:, None], np.sqrt(np.median(left)) * prior])
+        fit = np.linalg.lstsq(rows, np.concatenate([y * weight, nothing]), rcond=1e-10)[0]
     return np.asarray(fit)
 
 

@@ -18,7 +18,7 @@ from fluxtwin import load_scenario
 from fluxtwin.calib.checks.check import check_file, check_telemetry, repair
 from fluxtwin.calib.checks.clock import check_clock, named_shift, shifts_s
 from fluxtwin.calib.checks.evidence import _covariances
-from fluxtwin.calib.checks.orientation import _mountings
+from fluxtwin.calib.checks.orientation import mountings
 from fluxtwin.calib.checks.outliers import without_gross_outliers
 from fluxtwin.calib.checks.sample import comparable
 from fluxtwin.calib.checks.stuck import _held, check_held
@@ -548,7 +548,7 @@ def test_errors_are_as_large_in_every_row_and_forget_as_they_say() -> None:
 
 
 def test_mountings_are_turns_by_eighths_and_mirrors() -> None:
-    found = np.array([one.matrix for one in _mountings()])
+    found = np.array([one.matrix for one in mountings()])
     assert len(found) == 48 + 3 * 24 and np.allclose(found @ found.swapaxes(1, 2), np.eye(3), atol=1e-15)
     assert np.allclose(np.sort(np.abs(found), axis=2)[48:, :, :].sum(axis=2).max(axis=1), np.sqrt(2.0))
 

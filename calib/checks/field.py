@@ -29,7 +29,7 @@ from fluxtwin.calib.checks.clock import (
 )
 from fluxtwin.calib.checks.evidence import Evidence, MODEL_nT, scalar_evidence, vector_evidence
 from fluxtwin.calib.checks.jump import check_jump
-from fluxtwin.calib.checks.matrix import check_matrix
+from fluxtwin.calib.checks.matrix import check_matrix, eddies_would_do
 from fluxtwin.calib.checks.orientation import FAR_BETTER, LOCAL, ORIENTATION, SINGLE_COST, Hypothesis, orientations
 from fluxtwin.calib.checks.outliers import check_outliers, without_gross_outliers
 from fluxtwin.calib.checks.report import Finding, named, note, trap
@@ -160,7 +160,7 @@ def _by_vectors(sample: Sample, telemetry: Telemetry, model: FieldModel, origin:
     poor = left > max(MENDED_MISFIT * sample.typical_nT, SMALLEST_MISFIT_nT)
     if found is not None and not poor:
         return [found]
-    if misfit[0] <= max(ORIENTATION_MISFIT * sample.typical_nT, SMALLEST_MISFIT_nT):
+    if misfit[0] <= max(ORIENTATION_MISFIT * sample.typical_nT, SMALLEST_MISFIT_nT) or eddies_would_do(sample):
         findings = []
         expected = sample.R_BN.apply(sample.field_N_nT)
         missed = rms(sample.mag_nT - expected)

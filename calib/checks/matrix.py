@@ -19,6 +19,8 @@ from fluxtwin.sim.base.types import FloatArray
 
 EXPLAINED = 0.04
 """Share of |B| that a free matrix and bias may leave: noise, coarse steps and attitude errors do, other causes more."""
+EDDY_S = 1.0
+"""Longest decay time of eddy currents that a spacecraft has, as in the effect `eddy_current`."""
 _SCALE_nT = 1e4
 
 
@@ -33,12 +35,14 @@ def check_matrix(sample: Sample, tried: list[Hypothesis] | None = None) -> list[
     free_nT = _misfit_nT(sample.mag_nT, reading, np.inf)
     if free_nT > max(EXPLAINED * sample.typical_nT, SMALLEST_MISFIT_nT):
         return []
-    gain: FloatArray = np.asarray(np.linalg.lstsq(_design(reading), sample.mag_nT / _SCALE_nT, rcond=None)[0][:3].T)
+    gain = _gain(sample, reading)
     units = np.linalg.svd(gain, compute_uv=False)  # one that all axes share is no matrix of this kind
     units = np.maximum(units, 1e-12)
     units = np.append(units[np.abs(np.log(units)) > np.log(UNIT_RATIO)], 1.0)
     possible_nT = min(_misfit_nT(sample.mag_nT / unit, reading, IMPOSSIBLE_S) for unit in units.tolist())
     if free_nT > FAR_BETTER * possible_nT:
+        return []
+    if _of_eddies(sample, gain):
         return []
     for other in tried or []:
         mag_nT = sample.thinned(len(other.predicted_nT)).mag_nT
@@ -50,6 +54,25 @@ def check_matrix(sample: Sample, tried: list[Hypothesis] | None = None) -> list[
     return [
         trap("magnetometer_matrix", found=found, mend=mend, free=free_nT, possible=possible_nT, most=100 * IMPOSSIBLE_S)
     ]
+
+
+def eddies_would_do(sample: Sample) -> bool:
+    """Whether a free matrix and bias explain the readings of a body that turns, and eddy currents may be that matrix."""
+    reading = sample.R_BN.apply(sample.field_N_nT)
+    explained = _misfit_nT(sample.mag_nT, reading, np.inf) <= max(EXPLAINED * sample.typical_nT, SMALLEST_MISFIT_nT)
+    return explained and _of_eddies(sample, _gain(sample, reading))
+
+
+def _of_eddies(sample: Sample, gain: FloatArray) -> bool:
+    """In a body that turns at w they are a matrix K [w x], no element of K beyond their decay time."""
+    turn = (sample.R_BN[1:] * sample.R_BN[:-1].inv()).magnitude()
+    most = 3.0**0.5 * EDDY_S * float(np.median(turn / np.diff(sample.seconds)))
+    return bool(np.abs(gain - np.eye(3)).max() < IMPOSSIBLE_S + most)
+
+
+def _gain(sample: Sample, reading: FloatArray) -> FloatArray:
+    """(3, 3) what each axis has of what a perfect magnetometer reads (n, 3)."""
+    return np.asarray(np.linalg.lstsq(_design(reading), sample.mag_nT / _SCALE_nT, rcond=None)[0][:3].T)
 
 
 def _design(vectors_nT: FloatArray) -> FloatArray:

@@ -416,6 +416,24 @@ def test_a_shift_that_leaves_more_than_a_right_clock_would_is_doubted(model: Fie
     assert found.code == "clock" and "more than a right clock" in found.text, found.text
 
 
+def test_eddy_currents_of_a_fast_spinner_are_no_wrong_file(model: FieldModel) -> None:
+    """At 3 rpm a loop that decays in 0.8 s reads a quarter of the field along another axis; a gain of ten is too much."""
+    record = good(model, 3, year=2024, rows=900, step_s=2.0, mode="hold")
+    assert record.q_NB is not None and record.r_N_km is not None
+    field_N = field_N_nT(model, record.time, record.r_N_km)
+    seconds = (record.time - record.time[0]).astype("int64") * 1e-9
+    rate = np.array([0.0, 0.0, np.radians(18.0)])
+    R_BN = Rotation.from_rotvec(np.outer(seconds, -rate)) * frames.rotation_from_q(record.q_NB[0])
+    field = R_BN.apply(field_N)
+    slope = np.cross(field, rate)
+    K = np.array([[0.1, -0.8, -0.5], [-0.8, -0.4, 0.4], [-0.5, 0.4, 0.3]])
+    noise = stream(3, "eddies").normal(0.0, 50.0, field.shape)
+    spun = record.replace(mag_B_nT=field - slope @ K + noise, q_NB=frames.q_from_rotation(R_BN), sun_B=None)
+    assert check_telemetry(spun, model).traps == ()
+    ten = check_telemetry(spun.replace(mag_B_nT=(field + noise) @ np.diag([1.0, 10.0, 1.0])), model)
+    assert [found.code for found in ten.traps] == ["magnetometer_matrix"]
+
+
 @pytest.mark.parametrize(
     ("seconds", "said"), [(600, "10 min too late (to within"), (3600, "1 h too late (a time zone)")]
 )

@@ -17,7 +17,7 @@ from fluxtwin.gap.detectors.random_walk import worth_of_a_walk
 from fluxtwin.gap.detectors.residual_structure import Structure, judge, residual_structure
 from fluxtwin.gap.held_out.held_out import Fitted, Prediction, floor_rms_nT, one_step, predict_blocks
 from fluxtwin.gap.hypotheses.blocks import BlockFit, Dictionary, blocks
-from fluxtwin.gap.hypotheses.candidates import PerturbedDesign, candidates
+from fluxtwin.gap.hypotheses.candidates import PerturbedDesign, candidates, parts_of
 from fluxtwin.gap.law.found import closed_by, law_of
 from fluxtwin.gap.law.words import beside_names
 from fluxtwin.gap.linear.projection import ProjectedResidual, projected
@@ -214,6 +214,11 @@ def investigate(
         problem, known = again, candidates(again)
         dictionary = Dictionary(blocks(problem), problem.rows)
         answer = noise_and_answer(problem, dictionary, known)
+    if problem.free_attitude_error and answer.left.structured:
+        steady = blocks(problem, perturbed=PerturbedDesign(problem, parts_of(answer.noise.theta_rad)))
+        if len(steady) < len(dictionary.found):  # the others are made of the attitude error that is found beside the names
+            dictionary = Dictionary(steady, problem.rows)
+            answer = noise_and_answer(problem, dictionary, known)
     progress("residual structure, and where", 0.75)
     fast = None if whole is None else full_rate(whole, problem, answer.result.modelled, answer.result.chosen)
     waveforms = Structured(problem, dictionary, known)

@@ -167,12 +167,10 @@ class PerturbedDesign:
     """The design of a problem with one more attitude error in it."""
 
     def __init__(self, problem: Problem, errors: Sequence[tuple[float, float]] | None = None) -> None:
-        """errors: sigma [rad] and time constant [s] of the parts of the error; None: white and slow, each of the size of
-        `attitude_error_rad`."""
+        """errors: sigma [rad] and time constant [s] of the parts of the error; None: those of `attitude_error_rad`."""
         self.problem = problem
         motion = problem.setting.motion
-        sigma = attitude_error_rad(problem)
-        parts = [(sigma, 0.0), (sigma, SLOW_S)] if errors is None else list(errors)
+        parts = parts_of(attitude_error_rad(problem)) if errors is None else errors
         self.chain: Chain | None = None
         self._latest: tuple[Effect, Sequence[Active], FloatArray] | None = None
         if not any(size > 0 for size, _ in parts) or not isinstance(motion, RecordedMotion):
@@ -225,6 +223,11 @@ class PerturbedDesign:
         nuisance = self.problem.in_row_axes(self.problem.nuisance)
         flat = nuisance.reshape(3 * self.problem.rows, nuisance.shape[2])  # none where nothing is modelled
         return span_of(flat).basis(flat)
+
+
+def parts_of(sigma_rad: float) -> list[tuple[float, float]]:
+    """Sigma [rad] and time constant [s] of an attitude error of this size: white and slow, each as large."""
+    return [(sigma_rad, 0.0), (sigma_rad, SLOW_S)]
 
 
 def _step(effect: Effect) -> FloatArray:

@@ -343,3 +343,23 @@ lsb_nT = 10.0
     found = fluxtwin.diagnose(record, scenario=scenario if with_scenario else None)
     assert found.verdict == "no_gap"
     assert found.gap.before_nT == pytest.approx(found.gap.floor_nT, rel=0.05)  # 0.6 % by chance of 2,700 readings
+
+
+def test_a_body_rate_made_of_attitude_errors_is_no_gap() -> None:
+    """Ten turns a minute: of the rate only what errors of the attitude add varies. The fit alone says how large."""
+    text = scenario_text(
+        """
+[attitude]
+mode = "spin"
+spin_rate_rpm = 10.0
+[attitude.reference]
+sigma_deg = 0.2
+tau_s = 600.0
+[magnetometer]
+noise_nT = 20.0
+lsb_nT = 10.0
+""",
+        inertia_kg_m2=[[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.4]],
+        segment="samples = 1200, step_s = 1.0",
+    )
+    assert asked(simulate(parse_scenario(text))[0]).verdict == "no_gap"

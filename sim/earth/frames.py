@@ -172,9 +172,7 @@ def rotation_NEC_E(r_E_km: FloatArray) -> Rotation:
 
     At a pole, east is where the Greenwich meridian's y axis points.
     """
-    r = np.atleast_2d(np.asarray(r_E_km, dtype=np.float64))
-    longitude = np.arctan2(r[:, 1], r[:, 0])
-    latitude = np.arctan2(r[:, 2], np.hypot(r[:, 0], r[:, 1]))
+    latitude, longitude, _ = geocentric(r_E_km)
     sl, cl = np.sin(latitude), np.cos(latitude)
     so, co = np.sin(longitude), np.cos(longitude)
     zero = np.zeros_like(so)

@@ -21,8 +21,6 @@ class ExcessNoise(DistributionEffect):
 
     name = "excess_noise"
     stage = "sensor"
-    frame = "body"
-    follows = None
     settled_by = "a quiet stretch with torquers and payload off"
     about = (
         "added in variance to the declared noise (magnetoresistors 10 to 100 nT rms; "
@@ -46,8 +44,6 @@ class CoarseQuantization(DistributionEffect):
 
     name = "coarse_quantization"
     stage = "sensor"
-    frame = "body"
-    follows = None
     settled_by = "slower motion, so that single steps of the reading show"
     equivalent_stages = ("telemetry",)
     after_rounding = True
@@ -74,8 +70,6 @@ class BitErrors(DistributionEffect):
 
     name = "bit_errors"
     stage = "telemetry"
-    frame = "body"
-    follows = None
     settled_by = "the raw counts"
     after_rounding = True
     about = (

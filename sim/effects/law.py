@@ -108,8 +108,6 @@ class Law(SignalEffect):
 
     name = "law"
     stage = "spacecraft"
-    frame = "body"
-    follows = None
     keyed_by = "term"
     settled_by = "switching what it records on and off, in several attitudes, in sunlight and in shadow"
     about = (

@@ -257,7 +257,6 @@ class WheelField(SpacecraftField):
     """
 
     name = "wheel_field"
-    follows = None
     settled_by = "the wheel speed in the telemetry, or a few speeds held in turn"
     about = "the field is a cos(phase) + b sin(phase), aliased by the sampling (dipole law: Jackson, section 5.6)"
     wheel: int = 1

@@ -87,7 +87,6 @@ class SwitchedField(SpacecraftField):
     """
 
     name = "switched_field"
-    follows = None
     settled_by = "switching it on and off in sunlight and in shadow, with its flag in the telemetry"
     about = (
         "the condition is a flag, a clock interval, shadow, night or a region; positive along the axis "

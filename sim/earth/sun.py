@@ -13,10 +13,10 @@ from __future__ import annotations
 import erfa
 import numpy as np
 
-from fluxtwin.sim.base.interpolation import on_grid
 from fluxtwin.sim.base.types import FloatArray, TimeArray
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.earth.constants import AU_KM, EARTH_RADIUS_KM, SUN_RADIUS_KM
+from fluxtwin.sim.earth.frames import on_grid
 
 _GRID_DAYS = 0.25  # spline error below 1e-3 km, tested against the full series
 _AU_PER_DAY_IN_C = AU_KM / (299792.458 * 86400.0)

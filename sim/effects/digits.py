@@ -100,11 +100,6 @@ class BitErrors(DistributionEffect):
         chosen = rng.integers(0, word, code.shape)
         mask = np.left_shift(np.int64(1), chosen if self.bit is None else np.full(code.shape, self.bit))
         wrong = {"flip": code ^ mask, "stuck_0": code & ~mask, "stuck_1": code | mask}[self.kind]
-        wrong = _sign_extended(wrong, word if self.bit is None else max(word, self.bit + 1))
+        sign = 1 << (word if self.bit is None else max(word, self.bit + 1)) - 1
+        wrong = ((wrong & 2 * sign - 1) ^ sign) - sign  # as a two's complement word of that many bits says it
         return signal.with_reading(signal.reading + np.where(hit, lsb * (wrong - code), 0.0))
-
-
-def _sign_extended(code: np.ndarray, word: int) -> np.ndarray:
-    """Codes as a two's complement word of that many bits says them."""
-    low = code & ((1 << word) - 1)
-    return np.asarray(np.where(low >> (word - 1) & 1 == 1, low - (1 << word), low))

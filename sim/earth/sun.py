@@ -71,12 +71,6 @@ def illumination(r_N_km: FloatArray, sun_N_km: FloatArray) -> FloatArray:
     return np.clip(free, 0.0, 1.0)
 
 
-def sunlit(r_N_km: FloatArray, sun_N_km: FloatArray) -> FloatArray:
-    """1.0 where more than half of the disc is free, else 0.0; NaN where a position is NaN. Shape (N,)."""
-    free = illumination(r_N_km, sun_N_km)
-    return np.where(np.isnan(free), np.nan, (free > 0.5).astype(np.float64))
-
-
 def _overlap(a: FloatArray, b: FloatArray, c: FloatArray) -> FloatArray:
     """Area common to two flat discs of radii a, b whose centres are c apart, where their edges cross."""
     x = (c**2 + a**2 - b**2) / (2.0 * c)

@@ -42,8 +42,8 @@ import numpy as np
 from scipy.linalg import eig
 from scipy.spatial.transform import Rotation
 
+from fluxtwin.calib.common.design import Design
 from fluxtwin.calib.scalar.calibrate import ScalarOptions, fit_rows
-from fluxtwin.calib.scalar.rows import ScalarRows
 from fluxtwin.calib.spin.calibrate import SpinOptions, fit_spin
 from fluxtwin.calib.spin.rows import assemble_spin
 from fluxtwin.scenarios.st5 import mission
@@ -126,7 +126,7 @@ def made(time: np.ndarray, body_nT: np.ndarray, rng: np.random.Generator, noise_
 
 def ours(data: Set, method: str) -> Answer:
     """One of our methods."""
-    rows = ScalarRows(data.time, data.B_nT, data.H_nT, {}, np.arange(len(data.H_nT)), {})
+    rows = Design(data.time, data.B_nT, data.H_nT, {}, np.arange(len(data.H_nT)), {})
     parameters = "b" if method == "center" else "b,S"
     options = ScalarOptions(
         method=method, parameters=parameters, noise_nT=data.noise_nT, lsb_nT=data.lsb_nT, robust="none"

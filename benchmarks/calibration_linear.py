@@ -48,7 +48,7 @@ def arrays(samples: int) -> Design:
     reading = (field - np.array([7150.0, -2810.0, -6120.0])) @ np.linalg.inv(np.eye(3) + S).T
     reading += rng.normal(size=reading.shape) * 370.0
     stamps = np.datetime64("1978-07-24", "ns") + np.arange(samples) * np.timedelta64(1, "s")
-    return Design(stamps, reading, field, None, np.arange(samples), {})
+    return Design(stamps, reading, field, {}, np.arange(samples), {})
 
 
 def numpy_qr(design: Design) -> np.ndarray:

@@ -43,7 +43,6 @@ from fluxtwin.calib.gyro.calibrate import calibrate_gyro
 from fluxtwin.calib.gyro.solve import BASIS_S
 from fluxtwin.calib.linear.calibrate import fit_design
 from fluxtwin.calib.scalar.calibrate import ScalarOptions, fit_rows
-from fluxtwin.calib.scalar.rows import ScalarRows
 from fluxtwin.calib.spin.calibrate import SpinOptions, fit_spin
 from fluxtwin.calib.spin.rows import assemble_spin
 from fluxtwin.scenarios.st5 import mission
@@ -224,7 +223,7 @@ class Flown:
         if self.case.method == "gyro":
             known = calibrate_gyro(telemetry.replace(mag_B_nT=B_nT), load_field("igrf14")).calibration
             return without_scale(known, M, b_nT)
-        rows = ScalarRows(
+        rows = Design(
             time=telemetry.time,
             B_nT=B_nT,
             H_nT=np.linalg.norm(self.world.field_N_nT, axis=1),
@@ -245,7 +244,7 @@ class Flown:
         H_nT = rotation_from_q(telemetry.q_NB).apply(self.world.field_N_nT)
         options = LinearOptions(method=self.case.method, robust="tukey", **self.case.options)
         dipole = telemetry.dipole_B_Am2 if "T" in options.parameters else None
-        return fit_design(Design(telemetry.time, B_nT, H_nT, dipole, np.arange(len(B_nT)), {}, RADIAN_S), options)
+        return fit_design(Design(telemetry.time, B_nT, H_nT, {}, np.arange(len(B_nT)), {}, RADIAN_S, dipole), options)
 
     def _spinning(self, seed: int) -> Answer:
         flight = mission.fly(self.spinner.updated({"seed": seed}), self.world)

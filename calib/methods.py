@@ -69,16 +69,15 @@ class Offered(NamedTuple):
 
 def offered() -> list[Offered]:
     """The method and the options of all methods, each once."""
-    of: dict[str, list[Any]] = {}
-    for estimator in ESTIMATORS.values():
-        for name, item in estimator.takes.items():
-            of.setdefault(name, []).append(item)
     out = [Offered("method", OPTIONS["method"], "str | None", None)]
-    for name, items in of.items():
+    for name, option in OPTIONS.items():
+        items = [estimator.takes[name] for estimator in ESTIMATORS.values() if name in estimator.takes]
+        if not items:
+            continue
         of_all = len(items) == len(ESTIMATORS) and len({str(item.default) for item in items}) == 1
         default = items[0].default if of_all else None
         kind = items[0].type.removesuffix(" | None")
-        out.append(Offered(name, OPTIONS[name], kind if default is not None else f"{kind} | None", default))
+        out.append(Offered(name, option, kind if default is not None else f"{kind} | None", default))
     return out
 
 

@@ -22,9 +22,10 @@ from fluxtwin.calib.checks.evidence import (
     step_nT,
     vector_evidence,
 )
-from fluxtwin.calib.checks.report import Finding, named, note
-from fluxtwin.calib.checks.sample import Sample
+from fluxtwin.calib.checks.report import Finding, named, note, trap
+from fluxtwin.calib.checks.sample import FEWEST, Sample
 from fluxtwin.calib.checks.unit import SMALLEST_MISFIT_nT
+from fluxtwin.calib.checks.values import GAP_STEPS
 from fluxtwin.sim.base.errors import OutOfRange
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import epoch, frames
@@ -187,6 +188,50 @@ def check_clock(sample: Sample, model: FieldModel, origin: Origin) -> list[Findi
     shows = gain - np.sqrt(2.0 * gain) > costs + CLEAR
     shows &= evidence.misfit_nT[0] <= share * evidence.misfit_nT
     return [_what_shows(dict(zip(tried, shows.tolist(), strict=True)), shifts, plain, origin)]
+
+
+def check_jump(sample: Sample, model: FieldModel, origin: Origin) -> list[Finding]:
+    """The trap `clock` with the instant of a jump; none where one clock serves both sides, or a side is too short.
+
+    A jump leaves a gap as long as itself, or longer: each side of the longest gap is tested by itself. Where each is far
+    better with its own shift than with the other's, no one shift mends the record.
+    """
+    step_s = np.diff(sample.seconds)
+    first = int(np.argmax(step_s)) + 1
+    if step_s[first - 1] <= GAP_STEPS * np.median(step_s) or min(first, len(sample) - first) < FEWEST:
+        return []
+    known, plain = shifts_s(sample), plain_shifts_s(origin)
+    tried = list(dict.fromkeys((0.0, *known, *plain)))
+    sides = [sample.take(np.arange(first)), sample.take(np.arange(first, len(sample)))]
+    found = [_of_side(side.thinned(BLOCKS), model, origin, tried) for side in sides]
+    tried = [shift for shift in tried if all(shift in one for one in found)]
+    costs = np.array([cost(shift, known) if shift else 0.0 for shift in tried])
+    odds = [np.array([one[shift][0] for shift in tried]) - costs for one in found]
+    best = [int(np.argmax(one)) for one in odds]
+    if any(one[mine] - one[other] <= CLEAR for one, mine, other in zip(odds, best, reversed(best), strict=True)):
+        return []
+    if tried[best[0]] and tried[best[1]] and abs(tried[best[0]] - tried[best[1]]) <= 3.0 * min(map(abs, plain)):
+        return []  # neighbours in the steps that are tried
+    causes = plain | known
+    said = [
+        f"{shift_words(shift)} too {'late' if shift > 0 else 'early'} ({causes[shift]})" if shift else "right"
+        for shift in (tried[at] for at in best)
+    ]
+    misfit = {f"{name}_nT": one[tried[at]][1] for name, one, at in zip(("before", "after"), found, best, strict=True)}
+    at = epoch.iso(sample.time[first], "s")
+    return [trap("clock.jump", sample.rows[first : first + 1], at=at, first=said[0], then=said[1], **misfit)]
+
+
+def _of_side(side: Sample, model: FieldModel, origin: Origin, tried: list[float]) -> dict[float, tuple[float, float]]:
+    """Log evidence and misfit [nT] by shift, for the shifts that field model and elements reach."""
+    fields = predictions(side, model, origin, tried)
+    stack = np.stack(list(fields.values()))
+    evidence: Evidence = (
+        scalar_evidence(side.seconds, side.mag_nT, np.linalg.norm(stack, axis=2))
+        if side.q_NB is None
+        else vector_evidence(side.seconds, side.mag_nT, stack)
+    )
+    return dict(zip(fields, zip(evidence.log.tolist(), evidence.misfit_nT.tolist(), strict=True), strict=True))
 
 
 def epochs(sample: Sample, model: FieldModel) -> dict[float, FloatArray]:

@@ -17,6 +17,7 @@ from fluxtwin.calib.checks.clock import (
     PLAIN_COST,
     STEP_S,
     check_clock,
+    check_jump,
     cost,
     named_shift,
     of_elements,
@@ -28,7 +29,6 @@ from fluxtwin.calib.checks.clock import (
     still_off,
 )
 from fluxtwin.calib.checks.evidence import Evidence, MODEL_nT, scalar_evidence, vector_evidence
-from fluxtwin.calib.checks.jump import check_jump
 from fluxtwin.calib.checks.matrix import check_matrix, eddies_would_do
 from fluxtwin.calib.checks.orientation import FAR_BETTER, LOCAL, ORIENTATION, SINGLE_COST, Hypothesis, orientations
 from fluxtwin.calib.checks.outliers import check_outliers, without_gross_outliers

@@ -7,7 +7,7 @@ without attitude, reading, position or (when T is wanted) dipole are left out an
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -28,17 +28,17 @@ class Design:
     B_nT: FloatArray
     """(N, 3) reading."""
     H_nT: FloatArray
-    """(N, 3) reference field A B0."""
-    D_Am2: FloatArray | None
-    """(N, 3) torquer dipole; None when it is not asked for."""
+    """(N, 3) reference field A B0; without attitude its size (N,)."""
+    columns: Mapping[str, FloatArray]
+    """(N,) by name, columns of telemetry that a field follows; without attitude those of the torquer dipole too."""
     rows: np.ndarray
     """(N,) indices into the joined telemetry."""
     left_out: Mapping[str, int]
     """Rows not used, by reason."""
     radian_s: float = 1000.0
     """Time in which the spacecraft moves one radian along its orbit; where unknown, that of a low orbit."""
-    columns: Mapping[str, FloatArray] = field(default_factory=dict)
-    """(N,) by name, columns of telemetry that a field follows."""
+    D_Am2: FloatArray | None = None
+    """(N, 3) torquer dipole of a calibration by attitude; None when it is not asked for."""
 
     def __len__(self) -> int:
         return int(self.time.size)
@@ -84,11 +84,11 @@ def assemble(
         time=used.time,
         B_nT=used.mag_B_nT,
         H_nT=reference_field_B_nT(used, model),
-        D_Am2=used.dipole_B_Am2 if with_dipole else None,
+        columns={name: values[rows] for name, values in columns.items()},
         rows=rows,
         left_out=left_out,
         radian_s=radian_s(used),
-        columns={name: values[rows] for name, values in columns.items()},
+        D_Am2=used.dipole_B_Am2 if with_dipole else None,
     )
 
 

@@ -56,6 +56,7 @@ OPTIONS = {
         list[str],
         "NAME",
     ),
+    "errors_in_variables": Option("Correct S for its attenuation by the noise of the reading; on for linear.", bool),
     "robust": Option(
         "Outliers: tukey (six robust sigma) leaves them out, none keeps them.", str, "KIND", "treatment of outliers"
     ),
@@ -76,8 +77,6 @@ OPTIONS = {
         allowed=lambda value: 0.0 <= value < float("inf"),
         wanted="nT, not negative",
     ),
-    "noise_nT": Option("Noise of the reading, 1 sigma per axis [nT]; otherwise estimated.", float, "NT"),
-    "lsb_nT": Option("Least significant bit of the reading [nT]; otherwise estimated.", float, "NT"),
     "attitude_sigma_deg": Option(
         "Error of the reference attitude, or of the scanner, 1 sigma per body axis [deg]; otherwise estimated.",
         float,
@@ -92,6 +91,10 @@ OPTIONS = {
         allowed=lambda value: 0.0 <= value < 1e9,
         wanted="seconds, not negative",
     ),
+    "noise_nT": Option("Noise of the reading, 1 sigma per axis [nT]; otherwise estimated.", float, "NT"),
+    "lsb_nT": Option("Least significant bit of the reading [nT]; otherwise estimated.", float, "NT"),
+    "weights": Option("(N,) weights of the joined rows, any scale (journal eq. 4)."),
+    "passes": Option("(N,) labels of the joined rows: what a block is."),
     "sun_sigma_deg": Option(
         "Noise of a sun pulse or sun vector, 1 sigma [deg]; batch, iterative, recursive.",
         float,
@@ -99,9 +102,6 @@ OPTIONS = {
         allowed=lambda value: 0.0 < value < 90.0,
         wanted="degrees, positive, below 90",
     ),
-    "passes": Option("(N,) labels of the joined rows: what a block is."),
-    "errors_in_variables": Option("Correct S for its attenuation by the noise of the reading; on for linear.", bool),
-    "weights": Option("(N,) weights of the joined rows, any scale (journal eq. 4)."),
     "sun_alignment_deg": Option(
         "How well the mounting of the sun sensor is known; iterative; default: 0.05.",
         float,
@@ -124,7 +124,7 @@ OPTIONS = {
         wanted="seconds, 1 to 1800",
     ),
 }
-"""By the names of the fields that they describe."""
+"""By the names of the fields that they describe, in the order in which they are offered."""
 _OF_READINGS = ("driver", "robust", "covariance", "block_s", "field_error_nT", "noise_nT", "lsb_nT", "passes")
 """Options that mean the same to a method and to the one that finds the fields for it."""
 
@@ -152,7 +152,29 @@ class Options:
 
 
 @dataclass(frozen=True, kw_only=True)
-class LinearOptions(Options):
+class ReadingOptions(Options):
+    """What every method of the product takes."""
+
+    parameters: str = "b,S"
+    driver: Sequence[str] = ()
+    robust: str = "tukey"
+    """`tukey`: readings beyond six robust sigma are left out, the others weigh alike."""
+    noise_nT: float | FloatArray | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class BlockOptions(ReadingOptions):
+    """What a method takes whose errors may be correlated in time."""
+
+    covariance: str = "blocks"
+    block_s: float | None = None
+    field_error_nT: float | None = None
+    lsb_nT: float | FloatArray | None = None
+    passes: Sequence[object] | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class LinearOptions(BlockOptions):
     """How the regression is done."""
 
     choices: ClassVar = {
@@ -162,20 +184,11 @@ class LinearOptions(Options):
         "covariance": ("white", "blocks"),
     }
     method: str = "linear"
-    parameters: str = "b,S"
-    driver: Sequence[str] = ()
     errors_in_variables: bool | None = None
     """None: on for `linear`. It also takes out the shortening by errors of the attitude."""
-    robust: str = "tukey"
-    covariance: str = "blocks"
-    block_s: float | None = None
-    field_error_nT: float | None = None
     attitude_sigma_deg: float | None = None
     attitude_tau_s: float | None = None
-    noise_nT: float | FloatArray | None = None
-    lsb_nT: float | FloatArray | None = None
     weights: FloatArray | None = None
-    passes: Sequence[object] | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -194,8 +207,8 @@ class LinearOptions(Options):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ScalarOptions(Options):
-    """How the size of the field is compared."""
+class ScalarOptions(BlockOptions):
+    """How the size of the field is compared; its drivers: Springmann & Cutler 2012."""
 
     choices: ClassVar = {
         "method": ("scalar", "twostep", "center"),
@@ -206,15 +219,6 @@ class ScalarOptions(Options):
     method: str = "scalar"
     parameters: str = ""
     """Empty: `b` for center, `b,S` for the others."""
-    driver: Sequence[str] = ()
-    """Columns of telemetry whose field is estimated too (Springmann & Cutler 2012)."""
-    robust: str = "tukey"
-    covariance: str = "blocks"
-    block_s: float | None = None
-    field_error_nT: float | None = None
-    noise_nT: float | FloatArray | None = None
-    lsb_nT: float | FloatArray | None = None
-    passes: Sequence[object] | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -227,7 +231,7 @@ class ScalarOptions(Options):
 
 
 @dataclass(frozen=True, kw_only=True)
-class SpinOptions(Options):
+class SpinOptions(ReadingOptions):
     """How the motion and the magnetometer are found."""
 
     choices: ClassVar = {
@@ -237,22 +241,17 @@ class SpinOptions(Options):
         "robust": ("tukey", "none"),
     }
     method: str = "batch"
-    parameters: str = "b,S"
-    driver: Sequence[str] = ()
-    noise_nT: float | FloatArray | None = None
+    covariance: str = "blocks"
     lsb_nT: float | FloatArray | None = None
     sun_sigma_deg: float | None = None
     """None: found in the residual (batch), or 0.2."""
     sun_alignment_deg: float = 0.05
     inertia_ratio: float | None = None
     """None: that of the blind start."""
-    covariance: str = "blocks"
-    robust: str = "tukey"
-    """`tukey`: readings beyond six robust sigma are left out, the others weigh alike."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class RecursiveOptions(Options):
+class RecursiveOptions(ReadingOptions):
     """What is known to the filter. The slow errors are states, so the covariance is always of the kind `blocks`."""
 
     choices: ClassVar = {
@@ -262,15 +261,12 @@ class RecursiveOptions(Options):
         "covariance": ("blocks",),
     }
     method: str = "recursive"
-    parameters: str = "b,S"
-    driver: Sequence[str] = ()
+    covariance: str = "blocks"
     noise_nT: float | None = None
     lsb_nT: float | None = None
     attitude_sigma_deg: float | None = None
     attitude_tau_s: float | None = None
     sun_sigma_deg: float | None = None
-    robust: str = "tukey"
-    covariance: str = "blocks"
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -283,7 +279,7 @@ class RecursiveOptions(Options):
 
 
 @dataclass(frozen=True, kw_only=True)
-class GyroOptions(Options):
+class GyroOptions(ReadingOptions):
     """How the turning field is followed."""
 
     choices: ClassVar = {
@@ -292,11 +288,7 @@ class GyroOptions(Options):
         "robust": ("none", "tukey"),
     }
     method: str = "gyro"
-    parameters: str = "b,S"
-    driver: Sequence[str] = ()
-    robust: str = "tukey"
     stretch_s: float | None = None
-    noise_nT: float | FloatArray | None = None
 
 
 @dataclass(frozen=True)

@@ -39,11 +39,6 @@ class ResidualStatistics:
         """rms of one component over the three axes: the papers' "rms residual"."""
         return float(np.sqrt((self.rms_nT**2).mean()))
 
-    @property
-    def component_rms_mG(self) -> float:
-        """The same in mG."""
-        return self.component_rms_nT / NT_PER_MG
-
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers; no NaN."""
         return {
@@ -51,7 +46,7 @@ class ResidualStatistics:
             "mean_nT": self.mean_nT.tolist(),
             "rms_nT": self.rms_nT.tolist(),
             "component_rms_nT": self.component_rms_nT,
-            "component_rms_mG": self.component_rms_mG,
+            "component_rms_mG": self.component_rms_nT / NT_PER_MG,
             "lag_correlation": self.lag_correlation.tolist(),
             "correlation_time_s": self.correlation_time_s,
         }

@@ -22,6 +22,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -80,35 +81,25 @@ def calibrate_linear(records: Telemetry | Sequence[Telemetry], model: FieldModel
     design = assemble(telemetry, model, with_dipole="T" in options.parameters, columns=asked.columns)
     weights, passes = (_of_rows(getattr(options, name), design, name) for name in ("weights", "passes"))
 
-    def by(columns: drivers.Columns) -> LinearFit:
-        used = replace(design, columns=columns)
-        fit = fit_design(used, options, model_name=model.name, weights=weights, passes=passes)
-        if not columns or fit.error_model is None:
-            return fit
-        again: dict[str, Any] = {"model_name": model.name, "weights": weights, "passes": passes}
-        return _beside(used, options, *_weighted_fields(fit, used), noise=fit.noise, **again)
+    again: dict[str, Any] = {"model_name": model.name, "weights": weights, "passes": passes}
 
-    def values_of(columns: drivers.Columns) -> LinearFit:
+    def by(columns: drivers.Columns, *, values_alone: bool = False) -> LinearFit:
         used = replace(design, columns=columns)
-        fit = fit_design(used, options, weights=weights, passes=passes)
+        fit = fit_design(used, options, **again)
         if not columns or fit.error_model is None:
             return fit
-        value_nT, _ = _weighted_fields(fit, used)
-        white = replace(options, covariance="white")
-        free = fit_design(_without(used, value_nT), white, weights=weights, passes=passes, noise=fit.noise)
+        value_nT, covariance = _weighted_fields(fit, used)
+        if not values_alone:
+            return _beside(used, options, value_nT, covariance, noise=fit.noise, **again)
+        free = fit_design(_without(used, value_nT), replace(options, covariance="white"), noise=fit.noise, **again)
         biases = {name: TelemetryBias(one, np.zeros(3)) for name, one in zip(columns, value_nT, strict=True)}
         return replace(free, calibration=replace(free.calibration, telemetry_bias=biases))
 
-    def drops(
-        fit: LinearFit, of_fit: drivers.Columns, now: drivers.Columns, name: str, tried: FloatArray
-    ) -> FloatArray:
-        if fit.error_model is None:
-            return np.zeros(tried.shape[1])
-        return _drops(fit, design, of_fit, now, name, tried)
-
     others = [design.H_nT] if options.parameters != "b" else []
     others += [] if design.D_Am2 is None else [design.D_Am2]
-    fit = drivers.fitted(asked, design.rows, np.hstack([np.zeros((len(design), 0)), *others]), by, drops, values_of)
+    beside = np.hstack([np.zeros((len(design), 0)), *others])
+    drops, values_of = partial(_drops, design), partial(by, values_alone=True)
+    fit: LinearFit = drivers.fitted(asked, design.rows, beside, by, drops, values_of)
     return with_warnings(fit, telemetry, robust=options.robust != "none")
 
 
@@ -205,9 +196,11 @@ def _weighted_fields(fit: LinearFit, design: Design) -> tuple[FloatArray, FloatA
 
 
 def _drops(
-    fit: LinearFit, design: Design, of_fit: drivers.Columns, now: drivers.Columns, name: str, tried: FloatArray
+    design: Design, fit: LinearFit, of_fit: drivers.Columns, now: drivers.Columns, name: str, tried: FloatArray
 ) -> FloatArray:
     """(c,) by how much each of `tried` (n, c) lowers chi-square in the place of the column `name`; see `drivers.Drops`."""
+    if fit.error_model is None:
+        return np.zeros(tried.shape[1])
     rows = stretches(len(design), _SEARCHED)
     error = -fit.residuals_nT[rows] @ np.linalg.inv(np.eye(3) + fit.calibration.S).T
     fields = {one: bias.value_nT for one, bias in fit.calibration.telemetry_bias.items()}

@@ -35,6 +35,7 @@ class ArduPilot(Target):
     )
     source = "ArduPilot, libraries/AP_Compass/AP_Compass_Backend.cpp, correct_field"
     ending = ".param"
+    looks = re.compile(r"^\s*COMPASS_OFS\d?_X\b", re.MULTILINE)
     symmetric = True
     instances = 3
 
@@ -43,9 +44,6 @@ class ArduPilot(Target):
         values = [*(-held.o_nT / NT_PER_MG), *six_of(held.M), 1.0]
         names = [*_names(instance), _scale(instance)]
         return tuple(Number(*of) for of in zip(names, map(float32, values), units, strict=True))
-
-    def is_of(self, text: str) -> bool:
-        return re.search(r"^\s*COMPASS_OFS\d?_X\b", text, re.MULTILINE) is not None
 
     def read(self, text: str, instance: int, where: str) -> OffsetFirst:
         names = _names(instance)

@@ -36,6 +36,7 @@ class GomSpace(Target):
     formula = "B = R' diag(scale) R (m + offset); m, B, offset in mGauss"
     source = "github.com/FaBa-GS/leop_tools, lib/libcal.py, calibrate_mag"
     ending = ".txt"
+    looks = re.compile(r"^\s*rparam\s+set\s", re.MULTILINE)
     comment = ""
     symmetric = True
     instances = 2
@@ -57,9 +58,6 @@ class GomSpace(Target):
     def lay_out(self, numbers: Sequence[Number], heading: Sequence[str], instance: int) -> str:
         commands = [f"rparam set {n.name} {n.text}" for n in numbers]
         return "\n".join([f"rparam download {_NODE} {_TABLES[instance]}", *commands, "rparam send", ""])
-
-    def is_of(self, text: str) -> bool:
-        return re.search(r"^\s*rparam\s+set\s", text, re.MULTILINE) is not None
 
     def read(self, text: str, instance: int, where: str) -> OffsetFirst:
         found: dict[tuple[str, int], float] = {}

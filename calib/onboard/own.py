@@ -50,6 +50,7 @@ class CHeader(_Own):
     name = "c-header"
     what = "a C header"
     ending = ".h"
+    looks = re.compile(f"{_PREFIX}M")
     comment = "//"
 
     def _text(self, value: float) -> str:
@@ -59,12 +60,10 @@ class CHeader(_Own):
         lines = [*(f"// {line}" for line in heading), "#ifndef FLUXTWIN_MAG_H", "#define FLUXTWIN_MAG_H", ""]
         for name, rows in _arrays(numbers).items():
             size = f"[{len(rows)}]" + (f"[{len(rows[0])}]" if len(rows[0]) > 1 else "")
-            inside = ", ".join(_braces([f"{text}f" for text in row]) for row in rows)
+            inner = [", ".join(f"{text}f" for text in row) for row in rows]
+            inside = ", ".join(row if len(rows[0]) == 1 else f"{{ {row} }}" for row in inner)
             lines.append(f"static const float {_PREFIX}{name}{size} = {{ {inside} }};")
         return "\n".join([*lines, "", "#endif", ""])
-
-    def is_of(self, text: str) -> bool:
-        return f"{_PREFIX}M" in text
 
     def read(self, text: str, instance: int, where: str) -> OffsetFirst:
         found = {}
@@ -80,6 +79,7 @@ class Json(_Own):
     name = "json"
     what = "JSON"
     ending = ".json"
+    looks = re.compile(r'\A\s*\{(?=.*"formula")(?=.*"M")', re.DOTALL)
     comment = ""
 
     def lay_out(self, numbers: Sequence[Number], heading: Sequence[str], instance: int) -> str:
@@ -96,9 +96,6 @@ class Json(_Own):
             "units": units,
         }
         return json.dumps(sealed_json(content), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-
-    def is_of(self, text: str) -> bool:
-        return text.lstrip().startswith("{") and '"formula"' in text and '"M"' in text
 
     def read(self, text: str, instance: int, where: str) -> OffsetFirst:
         try:
@@ -118,6 +115,7 @@ class Matlab(_Own):
     name = "matlab"
     what = "a MATLAB script"
     ending = ".m"
+    looks = re.compile(r"^M = \[", re.MULTILINE)
     comment = "%"
 
     def lay_out(self, numbers: Sequence[Number], heading: Sequence[str], instance: int) -> str:
@@ -126,9 +124,6 @@ class Matlab(_Own):
             lines.append(f"{name} = [{'; '.join(' '.join(row) for row in rows)}];")
         lines += ["% As magcal has it, for readings in the rows of D: C = (D - b) * A", "A = M';", "b = o';", ""]
         return "\n".join(lines)
-
-    def is_of(self, text: str) -> bool:
-        return re.search(r"^M = \[", text, re.MULTILINE) is not None
 
     def read(self, text: str, instance: int, where: str) -> OffsetFirst:
         found = {}
@@ -150,10 +145,6 @@ def _arrays(numbers: Sequence[Number]) -> dict[str, list[list[str]]]:
         name: [texts[k : k + columns[name]] for k in range(0, len(texts), columns[name])]
         for name, texts in found.items()
     }
-
-
-def _braces(words: Sequence[str]) -> str:
-    return words[0] if len(words) == 1 else f"{{ {', '.join(words)} }}"
 
 
 def _held(found: dict[str, FloatArray], where: str) -> OffsetFirst:

@@ -33,6 +33,7 @@ class Px4(Target):
     )
     source = "PX4-Autopilot, src/lib/sensor_calibration/Magnetometer.hpp, Correct"
     ending = ".params"
+    looks = re.compile(r"\bCAL_MAG\d_XOFF\b")
     symmetric = True
     instances = 4
 
@@ -44,9 +45,6 @@ class Px4(Target):
     def lay_out(self, numbers: Sequence[Number], heading: Sequence[str], instance: int) -> str:
         head = [*(f"# {line}" for line in heading), "# Vehicle-Id Component-Id Name Value Type"]
         return "\n".join([*head, *(f"1\t1\t{n.name}\t{n.text}\t9" for n in numbers), ""])
-
-    def is_of(self, text: str) -> bool:
-        return re.search(r"\bCAL_MAG\d_XOFF\b", text) is not None
 
     def read(self, text: str, instance: int, where: str) -> OffsetFirst:
         names = _names(instance)

@@ -42,6 +42,8 @@ class Target(ABC):
     source: ClassVar[str]
     """Who says so."""
     ending: ClassVar[str]
+    looks: ClassVar[re.Pattern[str]]
+    """What a file of this target has somewhere."""
     comment: ClassVar[str] = "#"
     """What begins a comment in the file; empty where comments are not known to be allowed."""
     symmetric: ClassVar[bool] = False
@@ -58,9 +60,9 @@ class Target(ABC):
         """The whole file but its first line, which says who wrote it; by default NAME,VALUE on each line."""
         return "\n".join([*(f"# {line}" for line in heading), *(f"{n.name},{n.text}" for n in numbers), ""])
 
-    @abstractmethod
     def is_of(self, text: str) -> bool:
         """Whether a file looks like one of this target."""
+        return self.looks.search(text) is not None
 
     @abstractmethod
     def read(self, text: str, instance: int, where: str) -> OffsetFirst:

@@ -19,7 +19,7 @@ import numpy as np
 
 from fluxtwin.calib.common import drivers, observability
 from fluxtwin.calib.common.conventions import PAIRS
-from fluxtwin.calib.common.design import joined
+from fluxtwin.calib.common.design import Design, joined
 from fluxtwin.calib.common.error_model import white_errors
 from fluxtwin.calib.common.fit import Fit, with_warnings
 from fluxtwin.calib.common.noise import ReadingNoise, scalar_noise
@@ -29,7 +29,7 @@ from fluxtwin.calib.common.robust import outlier_words, rows_to_keep
 from fluxtwin.calib.scalar.covariance import Scores, field_error_covariance, scalar_covariance, scores_of
 from fluxtwin.calib.scalar.model import ScalarData, Solved, Sums, add_up, pack, residual, solve, unpack
 from fluxtwin.calib.scalar.observability import choose, other_solution, refuse_thin, require_meaning, require_observed
-from fluxtwin.calib.scalar.rows import DIPOLES, ScalarProblem, ScalarRows, assemble_scalar, make_problem
+from fluxtwin.calib.scalar.rows import DIPOLES, ScalarProblem, assemble_scalar, make_problem
 from fluxtwin.calib.scalar.twostep import center, center_terms, twostep
 from fluxtwin.sim.base.errors import NoAnswer
 from fluxtwin.sim.base.types import BoolArray, FloatArray
@@ -127,7 +127,7 @@ def calibrate_scalar(records: Telemetry | Sequence[Telemetry], model: FieldModel
     return with_warnings(fit, telemetry, robust=options.robust != "none")
 
 
-def _drops(fit: ScalarFit, rows: ScalarRows, now: drivers.Columns, name: str, tried: FloatArray) -> FloatArray:
+def _drops(fit: ScalarFit, rows: Design, now: drivers.Columns, name: str, tried: FloatArray) -> FloatArray:
     """(c,) by how much each of `tried` (n, c) lowers chi-square in the place of the column `name`; see `drivers.Drops`.
 
     |B| is taken as a linear function of the parameters about the fit: a turn of the field by a column does not show. Errors
@@ -150,7 +150,7 @@ def _drops(fit: ScalarFit, rows: ScalarRows, now: drivers.Columns, name: str, tr
 
 
 def fit_rows(
-    rows: ScalarRows, options: ScalarOptions, *, model_name: str = "", passes: np.ndarray | None = None
+    rows: Design, options: ScalarOptions, *, model_name: str = "", passes: np.ndarray | None = None
 ) -> ScalarFit:
     """The calibration of rows that are already assembled; arguments and errors as `calibrate_scalar`."""
     problem = make_problem(rows, options)

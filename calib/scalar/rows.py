@@ -7,18 +7,17 @@ the rows without units, and how the readings move in the body.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from fluxtwin.calib.common.design import complete_rows, dipole_for_T, joined, radian_s
+from fluxtwin.calib.common.design import Design, complete_rows, dipole_for_T, joined, radian_s
 from fluxtwin.calib.common.noise import ReadingNoise
 from fluxtwin.calib.common.observability import direction_words, require_samples
 from fluxtwin.calib.common.options import ScalarOptions
 from fluxtwin.calib.scalar.model import ScalarData
 from fluxtwin.sim.base.errors import NoAnswer
-from fluxtwin.sim.base.types import FloatArray, TimeArray
+from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth.field import FieldModel, field_N_nT
 from fluxtwin.sim.telemetry.record import Telemetry
 
@@ -29,36 +28,13 @@ _THIN = 0.05
 """A reading that moves by less than that share of the field along a direction keeps to a plane or a cone."""
 
 
-@dataclass(frozen=True)
-class ScalarRows:
-    """Usable rows, time-ordered."""
-
-    time: TimeArray
-    """(N,) UTC."""
-    B_nT: FloatArray
-    """(N, 3) reading."""
-    H_nT: FloatArray
-    """(N,) size of the model field."""
-    columns: Mapping[str, FloatArray]
-    """(N,) by name: what the magnetometer's surroundings did; `dipole_x_Am2` and the like, or telemetry's names."""
-    rows: np.ndarray
-    """(N,) indices into the joined telemetry."""
-    left_out: Mapping[str, int]
-    """Rows not used, by reason."""
-    radian_s: float = 1000.0
-    """Time in which the spacecraft moves one radian along its orbit; where unknown, that of a low orbit."""
-
-    def __len__(self) -> int:
-        return int(self.time.size)
-
-
 def assemble_scalar(
     records: Telemetry | Sequence[Telemetry],
     model: FieldModel,
     *,
     with_dipole: bool = False,
     drivers: Mapping[str, FloatArray] | None = None,
-) -> ScalarRows:
+) -> Design:
     """Rows with reading, position and these columns.
 
     drivers: (N,) columns of the joined telemetry that a field follows, by name. Raises BadInput where the dipole is asked
@@ -73,7 +49,7 @@ def assemble_scalar(
     rows, left_out = complete_rows(needs, "without attitude needs reading and position")
     used = telemetry.select(rows)
     assert used.r_N_km is not None
-    return ScalarRows(
+    return Design(
         time=used.time,
         B_nT=used.mag_B_nT,
         H_nT=np.linalg.norm(field_N_nT(model, used.time, used.r_N_km), axis=1),
@@ -116,7 +92,7 @@ class Geometry(NamedTuple):
 class ScalarProblem(NamedTuple):
     """The rows at work, without units."""
 
-    rows: ScalarRows
+    rows: Design
     options: ScalarOptions
     data: ScalarData
     scale_nT: float
@@ -164,7 +140,7 @@ class ScalarProblem(NamedTuple):
         return self._replace(data=self.data._replace(Sigma=Sigma))
 
 
-def make_problem(rows: ScalarRows, options: ScalarOptions) -> ScalarProblem:
+def make_problem(rows: Design, options: ScalarOptions) -> ScalarProblem:
     """Scale the rows; columns that are zero throughout are dropped."""
     scale = float(np.sqrt((rows.H_nT**2).mean()))
     rms = {name: float(np.sqrt((values**2).mean())) for name, values in rows.columns.items()}

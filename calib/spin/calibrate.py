@@ -327,7 +327,7 @@ def _regress(
             )
         count += 1
         H_B = np.einsum("kij,kj->ki", motion.attitude(rows.t_s), rows.H_N_nT)
-        design = Design(rows.time, rows.B_nT, H_B, None, rows.rows, {})
+        design = Design(rows.time, rows.B_nT, H_B, {}, rows.rows, {})
         known = fit_design(design, how).calibration
         used = known
         if count % _LEAP == 0 and 0.5 < share < 0.97:

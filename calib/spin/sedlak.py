@@ -49,10 +49,10 @@ class Alignment(NamedTuple):
     information: FloatArray
     """(3, 3) of the rotation vector [rad^-2]; a weak eigenvalue is a direction that the sensor hardly determines."""
 
-    def weakest(self) -> tuple[float, FloatArray]:
-        """1 sigma [rad] about the direction known least, and that direction (3,)."""
-        values, vectors = np.linalg.eigh(self.information)
-        return float(1.0 / np.sqrt(max(values[0], 1e-300))), vectors[:, 0]
+    @property
+    def weakest_rad(self) -> float:
+        """1 sigma about the direction known least."""
+        return float(1.0 / np.sqrt(max(np.linalg.eigvalsh(self.information)[0], 1e-300)))
 
 
 def align(seen: FloatArray, reference_B: FloatArray, weight: FloatArray) -> Alignment:
@@ -134,7 +134,7 @@ def iterate(
         of_field = align(B, H_B, (H_B**2).sum(axis=1) / settings.field_nT**2)
         s_B = np.einsum("kij,kj->ki", filtered.pulse_A, rows.sun_N)
         weight = np.full(len(s_B), settings.sun_rad**-2.0)
-        weakest = align(rows.sun_B, s_B, weight).weakest()[0]
+        weakest = align(rows.sun_B, s_B, weight).weakest_rad
         R, covariance = relative(of_field, align_with_prior(rows.sun_B, s_B, weight, sun_prior_rad))
         step = turn_vector(R)
         steps.append(float(np.linalg.norm(step)))

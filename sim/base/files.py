@@ -41,9 +41,7 @@ def write_with(path: Path | str, write: Callable[[Path], object]) -> Path:
     path = Path(path)
     if is_stream(path):
         return _into_stream(path, write)
-    target = followed(path)
-    if target.is_dir():
-        raise BadInput("is a folder", where=str(path), wanted="the name of a file to write")
+    target = _target(path)
     with _temporary(target.parent, path) as (temporary, handle):
         try:
             with unfinished(temporary):
@@ -124,10 +122,7 @@ def writable_file(path: Path | str) -> Path:
     path = Path(path)
     if is_stream(path):
         return path
-    target = followed(path)
-    if target.is_dir():
-        raise BadInput("is a folder", where=str(path), wanted="the name of a file to write")
-    with _temporary(target.parent, path):
+    with _temporary(_target(path).parent, path):
         return path
 
 
@@ -145,6 +140,13 @@ def is_stream(path: Path | str) -> bool:
 def followed(path: Path | str) -> Path:
     """The file that `path` is in the end, through all symbolic links, whether it exists or not."""
     return Path(os.path.realpath(path))
+
+
+def _target(path: Path) -> Path:
+    target = followed(path)
+    if target.is_dir():
+        raise BadInput("is a folder", where=str(path), wanted="the name of a file to write")
+    return target
 
 
 def _descriptor(path: Path | str) -> int | None:

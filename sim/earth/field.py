@@ -116,11 +116,13 @@ def design_matrix_E(degree: int, r_E_km: FloatArray) -> FloatArray:
     column h is the same with the sine: the sum of `field_kernels`, coefficient by coefficient, in plain numpy.
     K = degree (degree + 2), in the order of `field_models`. Raises as `field_E_nT` for positions.
     """
+    from fluxtwin.sim.earth.field_kernels import schmidt_factors
+
     r = _positions(r_E_km)
     design = np.empty((r.shape[0], 3, degree * (degree + 2)))
     harmonics = _harmonics(degree + 1, r)  # A + i B, [degree, order]
     for n in range(1, degree + 1):
-        factors = (2 * n + 1) * np.array(_schmidt_factors(n))
+        factors = (2 * n + 1) * schmidt_factors(n)
         above = harmonics[n + 1]
         for m, factor in enumerate(factors):
             column = n * n - 1 + max(2 * m - 1, 0)
@@ -153,17 +155,6 @@ def _harmonics(top: int, r_E_km: FloatArray) -> list[list[np.ndarray]]:
             row.append(w * rows[k - 1][m] - beta * q * before)
         rows.append([*row, sectoral[k]])
     return rows
-
-
-def _schmidt_factors(n: int) -> list[float]:
-    """Schmidt semi-normalised over Gauss-normalised functions of degree n, orders 0..n.
-
-    (2n - 1)!! / (n - m)! sqrt((2 - delta_m0) (n - m)! / (n + m)!), without large factorials.
-    """
-    factors = [float(np.prod([(2 * j - 1) / j for j in range(1, n + 1)]))]
-    for m in range(1, n + 1):
-        factors.append(factors[-1] * float(np.sqrt((n - m + 1) * (2 if m == 1 else 1) / (n + m))))
-    return factors
 
 
 def _terms(model: FieldModel, stamps: TimeArray) -> Iterator[tuple[_Rows, FloatArray, FloatArray]]:

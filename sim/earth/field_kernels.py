@@ -110,11 +110,11 @@ def _layout(n_max: int) -> tuple[np.ndarray, FloatArray]:
     degree = np.repeat(np.arange(1, n_max + 1), 2 * np.arange(1, n_max + 1) + 1)
     within = np.arange(1, degree.size + 1) - degree**2
     order, is_h = (within + 1) // 2, (within > 0) & (within % 2 == 0)
-    factor = np.concatenate([_schmidt_factors(n) for n in range(1, n_max + 1)])[degree * (degree + 1) // 2 - 1 + order]
+    factor = np.concatenate([schmidt_factors(n) for n in range(1, n_max + 1)])[degree * (degree + 1) // 2 - 1 + order]
     return np.ravel_multi_index((is_h.astype(int), degree, order), (2, n_max + 1, n_max + 1)), factor
 
 
-def _schmidt_factors(n: int) -> FloatArray:
+def schmidt_factors(n: int) -> FloatArray:
     """Schmidt semi-normalised over Gauss-normalised functions of degree n, orders 0..n. Shape (n + 1,).
 
     (2n - 1)!! / (n - m)! sqrt((2 - delta_m0) (n - m)! / (n + m)!), as products without large factorials.

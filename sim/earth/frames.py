@@ -21,6 +21,7 @@ Yaw, roll and pitch are the 3-1-2 set from O to B: first yaw about z, then roll 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache
 
 import erfa
@@ -28,13 +29,13 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from fluxtwin.sim.base.errors import BadInput
-from fluxtwin.sim.base.interpolation import on_grid
 from fluxtwin.sim.base.types import FloatArray, TimeArray
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.earth.constants import EARTH_FLATTENING, EARTH_RADIUS_KM
 
 _GRID_DAYS = 0.125  # spline of X, Y, s on this grid: below 1e-11 rad, tested against the full series
 _J2000 = 2451545.0  # TT
+_MARGIN = 3  # nodes beyond each end, so that the end condition of the spline does not reach the data
 _REMEMBERED_ROWS = 50_000  # sixteen such series and their rotations are 30 MB
 
 
@@ -172,9 +173,7 @@ def rotation_NEC_E(r_E_km: FloatArray) -> Rotation:
 
     At a pole, east is where the Greenwich meridian's y axis points.
     """
-    r = np.atleast_2d(np.asarray(r_E_km, dtype=np.float64))
-    longitude = np.arctan2(r[:, 1], r[:, 0])
-    latitude = np.arctan2(r[:, 2], np.hypot(r[:, 0], r[:, 1]))
+    latitude, longitude, _ = geocentric(r_E_km)
     sl, cl = np.sin(latitude), np.cos(latitude)
     so, co = np.sin(longitude), np.cos(longitude)
     zero = np.zeros_like(so)
@@ -220,6 +219,22 @@ def rotation_NEC_geodetic(latitude_rad: FloatArray, longitude_rad: FloatArray) -
     """E to local *geodetic* north, east, down at WGS 84 latitude and longitude, each (N,)."""
     lat, lon = np.broadcast_arrays(np.atleast_1d(latitude_rad), np.atleast_1d(longitude_rad))
     return rotation_NEC_E(from_geocentric(lat, lon, np.ones_like(lat)))
+
+
+def on_grid(days: FloatArray, function: Callable[[FloatArray], FloatArray], step_days: float) -> FloatArray:
+    """`function(days)`, shape (N, K), by a cubic spline on a grid of `step_days`.
+
+    days: (N,) in any order. function: (M,) -> (M, K), smooth over a few steps. Where the grid would not
+    save work (few rows, or rows far apart) the function itself is called.
+    """
+    first, last = float(days.min()), float(days.max())
+    nodes = int(np.ceil((last - first) / step_days)) + 1 + 2 * _MARGIN
+    if days.size <= 2 * nodes:
+        return function(days)
+    grid: FloatArray = first + step_days * (np.arange(nodes, dtype=np.float64) - _MARGIN)
+    from scipy.interpolate import CubicSpline  # here: it takes a fifth of a second to load
+
+    return np.asarray(CubicSpline(grid, function(grid))(days))
 
 
 def _days_tt(time: TimeArray | np.datetime64) -> FloatArray:

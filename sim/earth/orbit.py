@@ -18,7 +18,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.types import FloatArray, TimeArray
 from fluxtwin.sim.earth import epoch, frames
 from fluxtwin.sim.earth.constants import EARTH_RADIUS_KM, GM_EARTH_KM3_S2, J2_EARTH
@@ -26,7 +25,6 @@ from fluxtwin.sim.earth.constants import EARTH_RADIUS_KM, GM_EARTH_KM3_S2, J2_EA
 Ephemeris = Callable[[TimeArray], tuple[FloatArray, FloatArray]]
 """Position [km] and velocity [km/s], GCRS, each (N, 3), at N stamps: `Orbit.propagate`, `tle.Tle.propagate`."""
 _NEWTON_STEPS = 50
-_LOWEST_KM = 80.0  # below this nothing stays in orbit
 
 
 class OrbitalRates(NamedTuple):
@@ -56,10 +54,7 @@ def orbital_rates(semi_major_axis_km: float, eccentricity: float = 0.0, inclinat
 
 @dataclass(frozen=True, kw_only=True)
 class Orbit:
-    """Mean elements at `epoch_utc`, on the true equator and equinox of that date.
-
-    Raises BadInput for elements that are no orbit around the Earth.
-    """
+    """Mean elements at `epoch_utc`, on the true equator and equinox of that date."""
 
     epoch_utc: np.datetime64
     altitude_km: float
@@ -70,34 +65,6 @@ class Orbit:
     argument_of_perigee_rad: float = 0.0
     argument_of_latitude_rad: float = 0.0
     """Argument of perigee plus mean anomaly, at the epoch."""
-
-    def __post_init__(self) -> None:
-        for name in (
-            "altitude_km",
-            "inclination_rad",
-            "raan_rad",
-            "eccentricity",
-            "argument_of_perigee_rad",
-            "argument_of_latitude_rad",
-        ):
-            if not np.isfinite(getattr(self, name)):
-                raise BadInput(f"{name} is {getattr(self, name)}", where="orbit", wanted="a finite number")
-        if not 0.0 <= self.eccentricity < 1.0:
-            raise BadInput(f"eccentricity is {self.eccentricity:g}", where="orbit", wanted="at least 0 and below 1")
-        if not 0.0 <= self.inclination_rad <= np.pi:
-            raise BadInput(
-                f"inclination is {np.degrees(self.inclination_rad):g} deg",
-                where="orbit",
-                wanted="0 to 180 deg",
-            )
-        perigee_km = self.semi_major_axis_km * (1.0 - self.eccentricity) - EARTH_RADIUS_KM
-        if perigee_km < _LOWEST_KM:
-            raise BadInput(
-                f"the perigee is at {perigee_km:.1f} km altitude",
-                where="orbit",
-                wanted=f"at least {_LOWEST_KM:g} km (altitude_km is a - {EARTH_RADIUS_KM} km)",
-            )
-        epoch.as_times(self.epoch_utc)
 
     @property
     def semi_major_axis_km(self) -> float:

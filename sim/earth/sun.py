@@ -13,10 +13,10 @@ from __future__ import annotations
 import erfa
 import numpy as np
 
-from fluxtwin.sim.base.interpolation import on_grid
 from fluxtwin.sim.base.types import FloatArray, TimeArray
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.earth.constants import AU_KM, EARTH_RADIUS_KM, SUN_RADIUS_KM
+from fluxtwin.sim.earth.frames import on_grid
 
 _GRID_DAYS = 0.25  # spline error below 1e-3 km, tested against the full series
 _AU_PER_DAY_IN_C = AU_KM / (299792.458 * 86400.0)
@@ -69,12 +69,6 @@ def illumination(r_N_km: FloatArray, sun_N_km: FloatArray) -> FloatArray:
     free[ring] = 1.0 - (earth_radius[ring] / sun_radius[ring]) ** 2
     free[np.isnan(separation)] = np.nan
     return np.clip(free, 0.0, 1.0)
-
-
-def sunlit(r_N_km: FloatArray, sun_N_km: FloatArray) -> FloatArray:
-    """1.0 where more than half of the disc is free, else 0.0; NaN where a position is NaN. Shape (N,)."""
-    free = illumination(r_N_km, sun_N_km)
-    return np.where(np.isnan(free), np.nan, (free > 0.5).astype(np.float64))
 
 
 def _overlap(a: FloatArray, b: FloatArray, c: FloatArray) -> FloatArray:

@@ -30,7 +30,6 @@ class FieldEpoch(SignalEffect):
     name = "field_epoch"
     stage = "field"
     frame = "earth"
-    follows = None
     settled_by = "a slow tumble of 0.25 deg/s"
     about = (
         "the real field is that of the model this many years (of 365.25 days) after the stamp, because the model was "
@@ -61,7 +60,6 @@ class FieldTruncation(SignalEffect):
     name = "field_truncation"
     stage = "field"
     frame = "earth"
-    follows = None
     settled_by = "a whole day, so that all longitudes are covered"
     about = (
         "real field and model differ by this share (1: wholly) of the degrees above N. With truth = poorer the real "
@@ -122,7 +120,6 @@ class RingCurrent(SignalEffect):
     name = "ring_current"
     stage = "field"
     frame = "earth"
-    follows = None
     settled_by = "a slow tumble of 0.25 deg/s, or days of different Dst"
     about = (
         "external field along the geomagnetic dipole axis, northward at the dipole equator, so negative in a storm as "

@@ -47,9 +47,9 @@ class Effect(ABC):
     stage: ClassVar[str]
     about: ClassVar[str]
     """What reality does, what + means, and the source of the model."""
-    frame: ClassVar[str | None]
+    frame: ClassVar[str | None] = "body"
     """The frame in which it is coherent: body, orbital or earth; None: in none of them."""
-    follows: ClassVar[str | None]
+    follows: ClassVar[str | None] = None
     """The condition of a diagnosis that it follows; None: none of them."""
     settled_by: ClassVar[str]
     """The manoeuvre, or the data, that would show it best. From a study of confusions over five designs: nadir pointing for
@@ -63,10 +63,9 @@ class Effect(ABC):
     """The setting (a text) that tells effects of this class apart and is part of their names, as in `driver.payload`."""
 
     def __init_subclass__(cls) -> None:
-        """Raise TypeError for an effect that does not say all of the above."""
+        """Raise TypeError for an effect that leaves out one of the above that have no default."""
         super().__init_subclass__()
-        wanted = ("stage", "about", "frame", "follows", "settled_by")
-        missing = [attribute for attribute in wanted if not hasattr(cls, attribute)]
+        missing = [attribute for attribute in ("stage", "about", "settled_by") if not hasattr(cls, attribute)]
         if hasattr(cls, "name") and missing:
             raise TypeError(f"the effect {cls.name} does not say its {', '.join(missing)}")
 
@@ -170,7 +169,6 @@ class SpacecraftField(SignalEffect):
     """Base of the fields of the spacecraft itself, most of them in proportion to a series."""
 
     stage = "spacecraft"
-    frame = "body"
 
     def values(self, setting: Setting) -> FloatArray | None:
         """(N,) what the field follows, (N, 3) where its parameters are a matrix; None when nothing tells."""
@@ -204,7 +202,6 @@ class DynamicsEffect(Effect):
     """
 
     stage = "dynamics"
-    frame = "body"
 
     @abstractmethod
     def on(self, vehicle: Vehicle, theta: FloatArray) -> Vehicle:

@@ -32,8 +32,6 @@ class Bias(SignalEffect):
 
     name = "bias"
     stage = "sensor"
-    frame = "body"
-    follows = None
     settled_by = "a slow tumble of 0.25 deg/s"
     equivalent_stages = ("spacecraft",)
     about = "the bias b of A B0 = (I+S) B + b + T D (Lerner & Shuster 1981, eq. 1); + lowers the reading"
@@ -53,7 +51,6 @@ class ScaleMisalignment(SignalEffect):
 
     name = "scale_misalignment"
     stage = "sensor"
-    frame = "body"
     follows = "field_strength"
     settled_by = "a slow tumble of 0.25 deg/s"
     equivalent_stages = ("attitude",)
@@ -72,7 +69,6 @@ class ScaleMisalignment(SignalEffect):
 class Step(SignalEffect):
     """Base of what happens at a moment and stays: nothing before `at`, all of it from then on."""
 
-    frame = "body"
     follows = "after_time"
     grid: ClassVar[int]
     """Moments that are tried, spread evenly over the rows."""
@@ -190,7 +186,6 @@ class LinearDrift(SignalEffect):
 
     name = "linear_drift"
     stage = "sensor"
-    frame = "body"
     follows = "time"
     settled_by = "a longer record, in a slow tumble of 0.25 deg/s"
     equivalent_stages = ("spacecraft",)
@@ -247,7 +242,6 @@ class BiasRandomWalk(DistributionEffect):
 
     name = "bias_random_walk"
     stage = "sensor"
-    frame = "body"
     follows = "time"
     settled_by = "a slow tumble of 0.25 deg/s"
     equivalent_stages = ("spacecraft",)

@@ -49,11 +49,6 @@ class Chain:
             stages[stage] = signal
         return stages
 
-    @property
-    def baseline_nT(self) -> FloatArray:
-        """(N, 3) reading without any effect."""
-        return self._baseline["telemetry"].reading
-
     def reading_nT(self, active: Sequence[Active] = ()) -> FloatArray:
         """(N, 3) noise-free reading with these effects on; distribution effects are passed over."""
         return self.signal(active).reading
@@ -187,8 +182,8 @@ def _enter(stage: str, signal: Signal) -> Signal:
     return signal
 
 
-def _fold(signal: Signal, active: Sequence[Active], stage: str, after_noise: bool | None = None) -> Signal:
-    """The signal effects of a stage; all of them, or only those before or after the noise."""
+def _fold(signal: Signal, active: Sequence[Active], stage: str, after_noise: bool) -> Signal:
+    """The signal effects of a stage before or after the noise."""
     for effect, theta in _applied(signal.setting, active, stage, after_noise):
         signal = effect.apply(signal, theta)
     return signal
@@ -197,7 +192,7 @@ def _fold(signal: Signal, active: Sequence[Active], stage: str, after_noise: boo
 def _applied(
     setting: Setting, active: Sequence[Active], stage: str, after_noise: bool | None
 ) -> list[tuple[SignalEffect, FloatArray]]:
-    """What `_fold` applies, in its order."""
+    """What acts in a stage, in order; before or after the noise, or all of it."""
     here = [
         (effect, np.asarray(theta, dtype=np.float64))
         for effect, theta in active

@@ -18,7 +18,6 @@ class Drifting(SignalEffect):
     """Base of errors that are constant over the record, or grow in proportion to time."""
 
     frame: ClassVar[str | None] = None
-    follows = None
     both: ClassVar[tuple[Parameter, Parameter]]
     """The error, and its rate."""
     rate_s: ClassVar[float]

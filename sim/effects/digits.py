@@ -21,8 +21,6 @@ class ExcessNoise(DistributionEffect):
 
     name = "excess_noise"
     stage = "sensor"
-    frame = "body"
-    follows = None
     settled_by = "a quiet stretch with torquers and payload off"
     about = (
         "added in variance to the declared noise (magnetoresistors 10 to 100 nT rms; "
@@ -46,8 +44,6 @@ class CoarseQuantization(DistributionEffect):
 
     name = "coarse_quantization"
     stage = "sensor"
-    frame = "body"
-    follows = None
     settled_by = "slower motion, so that single steps of the reading show"
     equivalent_stages = ("telemetry",)
     after_rounding = True
@@ -74,8 +70,6 @@ class BitErrors(DistributionEffect):
 
     name = "bit_errors"
     stage = "telemetry"
-    frame = "body"
-    follows = None
     settled_by = "the raw counts"
     after_rounding = True
     about = (
@@ -106,11 +100,6 @@ class BitErrors(DistributionEffect):
         chosen = rng.integers(0, word, code.shape)
         mask = np.left_shift(np.int64(1), chosen if self.bit is None else np.full(code.shape, self.bit))
         wrong = {"flip": code ^ mask, "stuck_0": code & ~mask, "stuck_1": code | mask}[self.kind]
-        wrong = _sign_extended(wrong, word if self.bit is None else max(word, self.bit + 1))
+        sign = 1 << (word if self.bit is None else max(word, self.bit + 1)) - 1
+        wrong = ((wrong & 2 * sign - 1) ^ sign) - sign  # as a two's complement word of that many bits says it
         return signal.with_reading(signal.reading + np.where(hit, lsb * (wrong - code), 0.0))
-
-
-def _sign_extended(code: np.ndarray, word: int) -> np.ndarray:
-    """Codes as a two's complement word of that many bits says them."""
-    low = code & ((1 << word) - 1)
-    return np.asarray(np.where(low >> (word - 1) & 1 == 1, low - (1 << word), low))

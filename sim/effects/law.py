@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.late import bridged, late
 from fluxtwin.sim.base.types import BoolArray, FloatArray
-from fluxtwin.sim.earth import epoch, frames
+from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.effects.base import Parameter, SignalEffect, vector_parameters
 from fluxtwin.sim.effects.drivers import lit, sun_in_body
 from fluxtwin.sim.effects.signal import Setting, Signal
@@ -46,10 +46,6 @@ def _sun_height(setting: Setting) -> FloatArray:
     return np.asarray(np.einsum("ij,ij->i", setting.sun_N, r_N_km) / np.linalg.norm(r_N_km, axis=1))
 
 
-def _longitude_rad(setting: Setting) -> FloatArray:
-    return np.asarray(frames.geocentric(setting.R_EN.apply(setting.given[0]))[1])
-
-
 def _rate(setting: Setting, axis: int) -> FloatArray:
     return np.asarray(np.degrees(setting.rate_B_rad_s[:, axis]))
 
@@ -63,7 +59,7 @@ GEOMETRY: Mapping[str, Callable[[Setting], FloatArray]] = {
     "orbit_phase": lambda setting: setting.orbit_phase_rad,
     "local_time": _local_time_rad,
     "latitude": lambda setting: setting.latitude_rad,
-    "longitude": _longitude_rad,
+    "longitude": lambda setting: setting.geocentric[1],
 }
 """1 (a constant along axes that are not the body's), the sun's direction in body axes, the sine of its height, the body's
 rate [deg/s], angles [rad]."""
@@ -108,8 +104,6 @@ class Law(SignalEffect):
 
     name = "law"
     stage = "spacecraft"
-    frame = "body"
-    follows = None
     keyed_by = "term"
     settled_by = "switching what it records on and off, in several attitudes, in sunlight and in shadow"
     about = (

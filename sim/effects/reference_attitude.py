@@ -33,7 +33,6 @@ class SunSensorHeadMisalignment(SignalEffect):
 
     name = "sun_sensor_head_misalignment"
     stage = "attitude"
-    frame = "body"
     follows = "head"
     settled_by = (
         "the number of the active head in the telemetry, and rotations of 90 deg that point each head at the sun "
@@ -188,7 +187,6 @@ class AttitudeLag(SignalEffect):
 
     name = "attitude_lag"
     stage = "attitude"
-    frame = "body"
     follows = "rate"
     settled_by = "slews about several axes, over an orbit or more"
     about = (

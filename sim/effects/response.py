@@ -44,7 +44,6 @@ class Nonlinearity(SignalEffect):
     """Base of the curved responses: each axis gains a combination of products of `degree` components of the reading."""
 
     stage = "sensor"
-    frame = "body"
     follows = "field_strength"
     settled_by = "a slow tumble of 0.25 deg/s"
     degree: ClassVar[int]
@@ -101,7 +100,6 @@ class Hysteresis(SignalEffect):
 
     name = "hysteresis"
     stage = "sensor"
-    frame = "body"
     follows = "field_strength"
     settled_by = "a slow tumble of 0.25 deg/s"
     equivalent_stages = ("spacecraft",)
@@ -161,7 +159,6 @@ class SensorLag(SignalEffect):
     name = "sensor_lag"
     stage = "sensor"
     frame = None
-    follows = None
     settled_by = "a spin of 2 rpm, or torquer edges sampled fast"
     equivalent_stages = ("time",)
     about = (
@@ -208,7 +205,6 @@ class AxisSkew(SignalEffect):
 
     name = "axis_skew"
     stage = "sensor"
-    frame = "body"
     follows = "rate"
     settled_by = "a spin of 2 rpm about each axis in turn"
     equivalent_stages = ("time",)
@@ -249,7 +245,6 @@ class Saturation(SignalEffect):
 
     name = "saturation"
     stage = "sensor"
-    frame = "body"
     follows = "field_strength"
     settled_by = "turning the axis concerned along the strongest field, near the poles (a level axis by 90 deg)"
     after_noise = True

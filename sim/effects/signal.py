@@ -94,9 +94,14 @@ class Setting:
         return sun.illumination(self.given[0], sun.sun_N_km(self.time))
 
     @cached_property
+    def geocentric(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Latitude [rad], east longitude [rad] and radius [km], each (N,)."""
+        return frames.geocentric(self.R_EN.apply(self.given[0]))
+
+    @property
     def latitude_rad(self) -> FloatArray:
         """(N,) geocentric latitude."""
-        return frames.geocentric(self.R_EN.apply(self.given[0]))[0]
+        return self.geocentric[0]
 
     @cached_property
     def orbit_phase_rad(self) -> FloatArray:

@@ -257,7 +257,6 @@ class WheelField(SpacecraftField):
     """
 
     name = "wheel_field"
-    follows = None
     settled_by = "the wheel speed in the telemetry, or a few speeds held in turn"
     about = "the field is a cos(phase) + b sin(phase), aliased by the sampling (dipole law: Jackson, section 5.6)"
     wheel: int = 1
@@ -309,12 +308,6 @@ class WheelField(SpacecraftField):
         return signal.with_stray(np.cos(phase)[:, None] * theta[:3] + np.sin(phase)[:, None] * theta[3:])
 
 
-def traceless(theta: FloatArray) -> FloatArray:
-    """(3, 3) symmetric K without trace from K_xx, K_yy, K_xy, K_xz, K_yz."""
-    xx, yy, xy, xz, yz = theta
-    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, -xx - yy]])
-
-
 @dataclass(frozen=True)
 class EddyCurrent(SpacecraftField):
     """Field of currents that a changing field induces.
@@ -335,4 +328,6 @@ class EddyCurrent(SpacecraftField):
     parameters = vector_parameters("K", "s", 0.05, -1.0, 1.0, axes=("xx", "yy", "xy", "xz", "yz"))
 
     def apply(self, signal: Signal, theta: FloatArray) -> Signal:
-        return signal.with_stray(-mapped(traceless(theta), signal.field_rate_B_nT_s))
+        xx, yy, xy, xz, yz = theta
+        K = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, -xx - yy]])
+        return signal.with_stray(-mapped(K, signal.field_rate_B_nT_s))

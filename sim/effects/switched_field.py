@@ -8,7 +8,7 @@ import numpy as np
 
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.types import FloatArray
-from fluxtwin.sim.earth import epoch, frames
+from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.effects.base import SpacecraftField, known_column, vector_parameters
 from fluxtwin.sim.effects.drivers import lit, varies
 from fluxtwin.sim.effects.signal import Setting
@@ -87,7 +87,6 @@ class SwitchedField(SpacecraftField):
     """
 
     name = "switched_field"
-    follows = None
     settled_by = "switching it on and off in sunlight and in shadow, with its flag in the telemetry"
     about = (
         "the condition is a flag, a clock interval, shadow, night or a region; positive along the axis "
@@ -181,7 +180,7 @@ def _inside_region(setting: Setting, region_deg: tuple[float, float, float, floa
     if region_deg is None:
         raise BadInput("no region", where="switched_field", wanted="region_deg = [south, north, west, east]")
     south, north, west, east = region_deg
-    latitude, longitude = (np.degrees(a) for a in frames.geocentric(setting.R_EN.apply(setting.given[0]))[:2])
+    latitude, longitude = (np.degrees(a) for a in setting.geocentric[:2])
     width = east - west if east - west >= 360.0 else np.mod(east - west, 360.0)
     inside = (latitude >= south) & (latitude <= north) & (np.mod(longitude - west, 360.0) <= width)
     return inside.astype(np.float64)

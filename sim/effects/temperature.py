@@ -23,7 +23,6 @@ class ThermalEffect(SignalEffect):
     and shadow, whose equilibrium swings from 0 to 20: a parameter is then per K of that swing.
     """
 
-    frame = "body"
     follows = "temperature"
     tried_s: ClassVar[tuple[float, ...]] = TIME_CONSTANTS_S
     """Time constants tried where no temperature was recorded."""

@@ -74,7 +74,6 @@ class AerodynamicTorque(AddedTorque):
     """Air drag torque that the surface model lacks."""
 
     name = "aerodynamic_torque"
-    follows = None
     settled_by = "a lower perigee, or a day with an active sun"
     about = (
         "torque of drag acting off the centre of mass, C_D A c, with the same area and centre for every wind direction "
@@ -121,7 +120,6 @@ class GravityGradientInertiaError(DynamicsEffect):
     """The inertia tensor differs from the scenario's."""
 
     name = "gravity_gradient_inertia_error"
-    follows = None
     settled_by = "slews about all three axes, or a slow tumble"
     about = (
         "true inertia tensor minus that of the scenario. With acts_in = both it acts in the gravity gradient 3 GM / r^3 "

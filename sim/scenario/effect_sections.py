@@ -20,7 +20,7 @@ from pydantic import BeforeValidator, Field, create_model, model_validator
 from fluxtwin.sim.base.section_types import Section
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth.epoch import iso
-from fluxtwin.sim.effects.base import Effect, Parameter
+from fluxtwin.sim.effects.base import MATRIX, Effect, Parameter
 from fluxtwin.sim.effects.catalogue import CATALOGUE, find_effect
 
 if TYPE_CHECKING:
@@ -35,8 +35,7 @@ _PER_TIME = {
     "kg m2": "kg_m2",
     "A m2 s/T": "Am2_s_per_T",
 }  # as in the other sections
-_AXES = ("x", "y", "z")
-_SHAPES = {3: _AXES, 9: tuple(row + column for row in _AXES for column in _AXES)}
+_SHAPES = {3: tuple("xyz"), 9: MATRIX}
 
 
 @dataclasses.dataclass(frozen=True)

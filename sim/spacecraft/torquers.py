@@ -11,10 +11,8 @@ from fluxtwin.sim.base.types import FloatArray, TimeArray
 from fluxtwin.sim.earth import epoch as clock
 from fluxtwin.sim.earth.constants import MU0_OVER_4PI_NT_M3_PER_AM2
 
-Dipole = tuple[float, float, float]
 
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class RandomDuty:
     """Momentum unloading: each axis on or off at random, in slots of `dwell_s`, either way round.
 
@@ -23,13 +21,15 @@ class RandomDuty:
     mean length of dwell_s / (1 - duty).
     """
 
-    amplitude_Am2: Dipole
-    duty: Dipole
+    amplitude_Am2: FloatArray
+    """(3,)."""
+    duty: FloatArray
+    """(3,)."""
     dwell_s: float
-    key: tuple[int, int, int]
+    key: list[int]
     """One 64-bit key an axis; what a slot does is a hash of its number and the key."""
-    offset_s: Dipole
-    """When the slots of each axis begin, from 2000 on."""
+    offset_s: FloatArray
+    """(3,) when the slots of each axis begin, from 2000 on."""
     both_signs: bool = True
 
     def dipole_B_Am2(self, time: TimeArray) -> FloatArray:
@@ -47,31 +47,17 @@ class RandomDuty:
 
 
 def draw_random_duty(
-    amplitude_Am2: float | Dipole,
-    duty: float | Dipole,
+    amplitude_Am2: float | tuple[float, float, float],
+    duty: float | tuple[float, float, float],
     dwell_s: float,
     rng: np.random.Generator,
     *,
     both_signs: bool = True,
 ) -> RandomDuty:
     """A random unloading duty, see `RandomDuty`."""
-    amplitudes = np.broadcast_to(np.asarray(amplitude_Am2, dtype=np.float64), (3,))
-    duties = np.broadcast_to(np.asarray(duty, dtype=np.float64), (3,))
-    keys = rng.integers(0, 2**64, size=3, dtype=np.uint64)
-    offsets = dwell_s * rng.random(3)
-    return RandomDuty(
-        amplitude_Am2=_three(amplitudes),
-        duty=_three(duties),
-        dwell_s=float(dwell_s),
-        key=(int(keys[0]), int(keys[1]), int(keys[2])),
-        offset_s=_three(offsets),
-        both_signs=both_signs,
-    )
-
-
-def _three(values: FloatArray) -> Dipole:
-    x, y, z = (float(v) for v in values)
-    return (x, y, z)
+    amplitudes, duties = (np.broadcast_to(np.asarray(one, dtype=np.float64), (3,)) for one in (amplitude_Am2, duty))
+    keys = rng.integers(0, 2**64, size=3, dtype=np.uint64).tolist()
+    return RandomDuty(amplitudes, duties, dwell_s, keys, dwell_s * rng.random(3), both_signs)
 
 
 def _hash(number: np.ndarray, key: int) -> np.ndarray:

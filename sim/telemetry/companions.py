@@ -45,7 +45,7 @@ def positions(path: Path | str, time: TimeArray) -> Positions:
     path: two-line elements, one set or many, or a CCSDS OEM. Rows out of an OEM's reach are NaN. Raises BadInput.
     """
     file = Path(path)
-    if ccsds.is_message(file, "OEM"):
+    if ccsds.is_oem(file):
         return Positions(*_from_oem(file, time), {}, None)
     from fluxtwin.sim.earth.tle import along_track_sigma_km, read_elements
 

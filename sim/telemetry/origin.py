@@ -6,7 +6,7 @@ A file is read as its columns or its map say. Whoever asks whether that was righ
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 if TYPE_CHECKING:
@@ -33,11 +33,3 @@ class Origin:
     """(3, 3) by which the map turned the stored readings."""
     count_nT: float | None = 1.0
     """Reading [nT] for a stored number of 1; None where it is not one factor for all axes."""
-
-    def without_position(self) -> Origin:
-        """With other positions than those that were read."""
-        return replace(self, position="GCRS", elements=None)
-
-    def without_attitude(self) -> Origin:
-        """With another attitude than the one that was read."""
-        return replace(self, attitude="GCRS", scalar_first=False, conjugated=False)

@@ -241,8 +241,9 @@ class Telemetry(Shown):
 
     def replace(self, **changes: object) -> Telemetry:
         """A copy with some fields changed; every check of the constructor runs again."""
-        origin = self.origin.without_position() if "r_N_km" in changes else self.origin
-        changes.setdefault("origin", origin.without_attitude() if "q_NB" in changes else origin)
+        other: dict[str, Any] = {"position": "GCRS", "elements": None} if "r_N_km" in changes else {}
+        other |= {"attitude": "GCRS", "scalar_first": False, "conjugated": False} if "q_NB" in changes else {}
+        changes.setdefault("origin", dataclasses.replace(self.origin, **other))
         return dataclasses.replace(self, **changes)  # type: ignore[arg-type]
 
 

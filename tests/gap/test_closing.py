@@ -95,11 +95,11 @@ def test_the_closed_magnetometer_reads_what_the_fit_read(problem: Problem, close
     )
     closed = settle(closure_of(problem, modelled))
     fitted = problem.chain.reading_nT(modelled)
-    again = Chain(dataclasses.replace(problem.setting, instrument=closed.instrument)).baseline_nT
+    again = Chain(dataclasses.replace(problem.setting, instrument=closed.instrument)).reading_nT()
     close(again, fitted, atol=1e-6, unit="nT", because="eq. 1 holds both exactly; rounding of 5e4 nT")
     assert closed.modelled == ()
     wrong = dataclasses.replace(closed.instrument, T_nT_per_Am2=-np.asarray(closed.instrument.T_nT_per_Am2))
-    assert np.abs(Chain(dataclasses.replace(problem.setting, instrument=wrong)).baseline_nT - fitted).max() > 100.0
+    assert np.abs(Chain(dataclasses.replace(problem.setting, instrument=wrong)).reading_nT() - fitted).max() > 100.0
 
 
 def test_sigmas_of_the_calibration_are_those_of_a_magnetometer(problem: Problem, close) -> None:
@@ -119,7 +119,7 @@ def test_sigmas_of_the_calibration_are_those_of_a_magnetometer(problem: Problem,
         for sign in (0.5, -0.5):
             S, b, T = np.split(found.values + sign * step * (np.arange(21) == number), [9, 12])
             moved = dataclasses.replace(instrument, S=S.reshape(3, 3), b_nT=b, T_nT_per_Am2=T.reshape(3, 3))
-            both.append(Chain(dataclasses.replace(problem.design.setting, instrument=moved)).baseline_nT)
+            both.append(Chain(dataclasses.replace(problem.design.setting, instrument=moved)).reading_nT())
         changed.append((both[0] - both[1]) / step)
     white = closure.whitener.apply(np.stack(changed, axis=2)).reshape(-1, 21)
     expected = np.linalg.inv(white.T @ white)
@@ -213,7 +213,7 @@ def test_an_effect_that_the_scenario_has_is_added_to_or_refused(problem: Problem
 
 
 def test_pinned_effects_say_the_same_and_keep_it_on_another_record(problem: Problem) -> None:
-    setting, reading = problem.setting, problem.chain.baseline_nT
+    setting, reading = problem.setting, problem.chain.reading_nT()
     half = dataclasses.replace(setting, time=setting.time[100:])
     sequence = tuple(int(n % 7 < 3) for n in range(setting.time.size))
     heater = HeaterSwitching(sequence).pinned(setting, reading)

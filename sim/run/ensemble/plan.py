@@ -57,10 +57,6 @@ class Plan:
         """The scenario of one vehicle, see `draws.vehicle_scenario`."""
         return vehicle_scenario(self.scenario, self.seed, number, self.drawn(number))
 
-    def drawn(self, number: int) -> dict[str, Any]:
-        """What was drawn for one vehicle, by dotted key."""
-        return self._drawn(number)
-
     def row(self, number: int) -> dict[str, Any]:
         """Number, seed and what was drawn, as the table of vehicles has it."""
         return {"vehicle": number, "seed": vehicle_seed(self.seed, number), **flattened(self.drawn(number))}
@@ -71,8 +67,8 @@ class Plan:
             self.vehicle(vehicle)
 
     @cached_property
-    def _drawn(self) -> Callable[[int], dict[str, Any]]:
-        """Remembers: the check, both tables and the flight ask."""
+    def drawn(self) -> Callable[[int], dict[str, Any]]:
+        """What was drawn for a vehicle of that number, by dotted key. Remembers: check, both tables and flight ask."""
         values = nominal_values(self.scenario)
         return lru_cache(_REMEMBERED)(lambda number: drawn_values(self.scenario, self.seed, number, values))
 

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from fluxtwin.sim.attitude.gauss_markov import gauss_markov
-from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
+from fluxtwin.sim.base.types import FloatArray, TimeArray
 from fluxtwin.sim.earth import frames
 from fluxtwin.sim.earth.references import triad_matrices
 
@@ -35,14 +35,9 @@ def attitude_from_sun_and_nadir(
     (N, 3); lengths do not matter. Rows are NaN where a vector is NaN, or where sun and nadir, or their
     opposites, are less than three degrees apart in either frame: there the turn is not known.
     """
-    q, known = np.full((len(sun_B), 4), np.nan), _apart(nadir_B, sun_B) & _apart(nadir_N, sun_N)
+    sines = [np.sin(frames.angle_between(*pair)) for pair in ((nadir_B, sun_B), (nadir_N, sun_N))]
+    q, known = np.full((len(sun_B), 4), np.nan), np.min(sines, axis=0) > np.sin(_LEAST_SEPARATION_RAD)
     if known.any():
         B, N = triad_matrices(nadir_B[known], sun_B[known]), triad_matrices(nadir_N[known], sun_N[known])
         q[known] = frames.q_from_rotation(Rotation.from_matrix(np.swapaxes(B, 1, 2) @ N))
     return q
-
-
-def _apart(first: FloatArray, second: FloatArray) -> BoolArray:
-    """(N,) whether two vectors (N, 3) make a triad."""
-    size, size_first, size_second = (np.linalg.norm(v, axis=1) for v in (np.cross(first, second), first, second))
-    return np.asarray(size > np.sin(_LEAST_SEPARATION_RAD) * size_first * size_second)

@@ -57,7 +57,7 @@ FORMATS = (
     Format("CCSDS orbit ephemeris (OEM, KVN)", (".oem",), "ccsds", "_oem", writes=True, option="--tle"),
     Format("CDF", (".cdf",), "cdf"),
     Format("Excel workbook", (".xlsx",), "xlsx", writes=True, sheets=True),
-    Format("Parquet", (".parquet",), "parquet", writes=True),
+    Format("Parquet", (".parquet",), "frame", "_parquet", writes=True),
 )
 READ = tuple(ending for one in FORMATS for ending in one.endings)
 WRITTEN = tuple(ending for one in FORMATS if one.writes for ending in one.endings)

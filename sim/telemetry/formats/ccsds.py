@@ -48,33 +48,21 @@ class Segment:
     rows: list[Row] = field(default_factory=list)
 
 
-@dataclass(frozen=True)
-class Message:
-    """One file."""
-
-    version: str
-    sha256: str
-    segments: list[Segment]
-
-
 def read_aem(path: Path, max_samples: int = MAX_SAMPLES) -> Table:
     """Columns `time`, `q_x q_y q_z q_w`: the textbook quaternion of the body relative to the attribute `frame`.
 
     Version 1 states the direction and whether the scalar is first; version 2 is from A to B, scalar last. Raises BadInput
     for other attitude types, and for frames that differ between segments or are not known.
     """
-    message = read_message(path, "AEM", 4, max_samples)
+    segments, digest = read_message(path, "AEM", 4, max_samples)
     where = str(path)
-    parts = [_attitude(one, where) for one in message.segments]
+    parts = [_attitude(one, where) for one in segments]
     frames = {frame for frame, _ in parts}
     if len(frames) > 1:
         raise BadInput(f"its segments are relative to {', '.join(sorted(frames))}", where=where, wanted="one frame")
-    time = np.concatenate([times(one, where) for one in message.segments])
-    q = np.concatenate([value for _, value in parts])
-    time, first = np.unique(time, return_index=True)  # segments may share their ends
-    columns = dict(zip(("q_x", "q_y", "q_z", "q_w"), q[first].T, strict=True))
-    attributes = {"frame": frames.pop(), "spacecraft": message.segments[0].meta.get("OBJECT_NAME", "")}
-    return Table(where, {"time": time, **columns}, {}, attributes, sha256=message.sha256)
+    names = ("q_x", "q_y", "q_z", "q_w")
+    columns = _columns(segments, names, np.concatenate([value for _, value in parts]), where)
+    return Table(where, columns, {}, _attributes(segments, frames.pop()), sha256=digest)
 
 
 def write_aem(telemetry: Telemetry, path: Path | str) -> Path:
@@ -86,20 +74,16 @@ def write_aem(telemetry: Telemetry, path: Path | str) -> Path:
 
 def read_oem(path: Path, max_samples: int = MAX_SAMPLES) -> Table:
     """Columns `time`, `x`, `y`, `z` [km], `vx`, `vy`, `vz` [km/s]; attribute `frame`, the same in all segments."""
-    message = read_message(path, "OEM", 6, max_samples)
+    segments, digest = read_message(path, "OEM", 6, max_samples)
     where = str(path)
-    frames = {frame_of(one, "REF_FRAME", where) for one in message.segments}
-    centres = {one.meta.get("CENTER_NAME", "EARTH").upper() for one in message.segments}
+    frames = {frame_of(one, "REF_FRAME", where) for one in segments}
+    centres = {one.meta.get("CENTER_NAME", "EARTH").upper() for one in segments}
     if len(frames) > 1 or centres != {"EARTH"}:
         found = ", ".join(sorted(frames) if len(frames) > 1 else sorted(centres))
         raise BadInput(f"its segments are in {found}", where=where, wanted="one frame with the Earth at its centre")
-    time = np.concatenate([times(one, where) for one in message.segments])
-    values = np.array([row[:6] for one in message.segments for row in one.rows])
-    time, first = np.unique(time, return_index=True)  # segments may share their ends
-    columns = dict(zip(("x", "y", "z", "vx", "vy", "vz"), values[first].T, strict=True))
     units = dict.fromkeys(("x", "y", "z"), "km") | dict.fromkeys(("vx", "vy", "vz"), "km/s")
-    attributes = {"frame": frames.pop(), "spacecraft": message.segments[0].meta.get("OBJECT_NAME", "")}
-    return Table(where, {"time": time, **columns}, units, attributes, sha256=message.sha256)
+    columns = _columns(segments, units, np.array([row[:6] for one in segments for row in one.rows]), where)
+    return Table(where, columns, units, _attributes(segments, frames.pop()), sha256=digest)
 
 
 def write_oem(telemetry: Telemetry, path: Path | str) -> Path:
@@ -115,13 +99,25 @@ def write_oem(telemetry: Telemetry, path: Path | str) -> Path:
     return write_message(telemetry, path, "OEM", [("REF_FRAME", "GCRF")], np.hstack([r, v]))
 
 
-def read_message(path: Path, kind: str, width: int, max_samples: int) -> Message:
-    """The segments of the file, whose rows have at least `width` numbers. kind: AEM or OEM. BadInput names the line."""
+def _columns(
+    segments: Sequence[Segment], names: Iterable[str], values: FloatArray, where: str
+) -> dict[str, np.ndarray]:
+    """`time` and the columns of the values (N, k), ascending: segments may share their ends."""
+    time, first = np.unique(np.concatenate([times(one, where) for one in segments]), return_index=True)
+    return {"time": time, **dict(zip(names, values[first].T, strict=True))}
+
+
+def _attributes(segments: Sequence[Segment], frame: str) -> dict[str, str]:
+    return {"frame": frame, "spacecraft": segments[0].meta.get("OBJECT_NAME", "")}
+
+
+def read_message(path: Path, kind: str, width: int, max_samples: int) -> tuple[list[Segment], str]:
+    """Its segments, whose rows have at least `width` numbers, and its SHA-256. kind: AEM or OEM. BadInput names the line."""
     content, digest = content_of(path, Lines(max_samples, str(path), beside=max_samples + 10_000))
     text = content.decode("utf-8-sig", "replace")
     require_sealed(text, where=str(path))
     lines = text.splitlines()
-    version = ""
+    known = False
     segments: list[Segment] = []
     inside, skipped, rows = False, False, 0
     for number, raw in enumerate(lines, 1):
@@ -138,13 +134,13 @@ def read_message(path: Path, kind: str, width: int, max_samples: int) -> Message
             continue
         elif "=" in line:
             key, _, value = (part.strip() for part in line.partition("="))
-            version = value if key == f"CCSDS_{kind}_VERS" else version
+            known |= key == f"CCSDS_{kind}_VERS" and value != ""
             if inside:
                 segments[-1].meta[key] = value
         else:
             _add_row(segments, inside, line, f"{path}, line {number}", width)
             rows = require_rows(rows + 1, max_samples, str(path), "has at least")
-    if not version:
+    if not known:
         raise BadInput(
             f"does not begin with CCSDS_{kind}_VERS", where=str(path), wanted=f"a CCSDS {kind} as KVN (not XML)"
         )
@@ -157,17 +153,17 @@ def read_message(path: Path, kind: str, width: int, max_samples: int) -> Message
         raise BadInput(
             f"its segments are of different objects: {named}", where=str(path), wanted="one object in a file"
         )
-    return Message(version, digest, segments)
+    return segments, digest
 
 
-def is_message(path: Path, kind: str) -> bool:
-    """Whether a file begins as such a message."""
+def is_oem(path: Path) -> bool:
+    """Whether a file begins as an orbit ephemeris message."""
     try:
         with open(path, "rb") as opened:
             head = opened.read(4096)
     except OSError:
         return False
-    return f"CCSDS_{kind}_VERS".encode() in head
+    return b"CCSDS_OEM_VERS" in head
 
 
 def times(segment: Segment, where: str) -> TimeArray:

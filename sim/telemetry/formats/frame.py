@@ -1,7 +1,9 @@
-"""Tables of pandas and xarray as they are, and records as theirs."""
+"""Tables of pandas and xarray as they are, and records as theirs; Parquet through pandas and pyarrow (optional:
+fluxtwin[parquet])."""
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -9,7 +11,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fluxtwin.sim.base.errors import BadInput
-from fluxtwin.sim.telemetry.columns import PROVENANCE, clip, describe, file_columns
+from fluxtwin.sim.base.files import write_bytes
+from fluxtwin.sim.base.limits import MAX_SAMPLES, require_expansion, require_rows
+from fluxtwin.sim.telemetry.columns import PROVENANCE, clip, describe, file_columns, file_texts
 from fluxtwin.sim.telemetry.formats.table import Table, content_of, extra, in_ns
 from fluxtwin.sim.telemetry.quantities import RECORDED
 
@@ -36,6 +40,28 @@ def of_file(path: Path, what: str, ending: str, unpack: Callable[[bytes], Any]) 
     table = of_pandas(frame, str(path))
     table.sha256 = digest
     return table
+
+
+def read_parquet(path: Path, max_samples: int = MAX_SAMPLES) -> Table:
+    """The columns of a Parquet file."""
+    pyarrow = extra("pyarrow.parquet", "parquet", path)
+    pd = extra("pandas", "parquet", path)
+
+    def unpack(content: bytes) -> Any:
+        about = pyarrow.read_metadata(io.BytesIO(content))
+        require_rows(about.num_rows, max_samples, str(path))
+        require_expansion(8 * about.num_rows * about.num_columns, len(content), str(path))
+        return pd.read_parquet(io.BytesIO(content), engine="pyarrow", page_checksum_verification=True)
+
+    return of_file(path, "Parquet", ".parquet", unpack)
+
+
+def write_parquet(telemetry: Telemetry, path: Path | str) -> Path:
+    """The record; numbers and stamps read back bit-equal."""
+    extra("pyarrow", "parquet", path)
+    frame = to_pandas(telemetry)
+    frame = frame.reset_index().assign(**file_texts(telemetry))
+    return write_bytes(path, frame.to_parquet(None, engine="pyarrow", index=False, write_page_checksum=True))
 
 
 def of_pandas(frame: Any, where: str = "DataFrame") -> Table:

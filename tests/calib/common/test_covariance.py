@@ -230,7 +230,7 @@ def test_one_block_that_alone_determines_a_column(seasat: Any) -> None:
     field[30:, 1] = 500.0
     reading = seasat.magnetometer().ideal_reading(field) + rng.normal(size=field.shape) * 10.0
     time = np.datetime64("1978-07-24", "ns") + np.arange(300) * np.timedelta64(60, "s")
-    design = Design(time, reading, field, None, np.arange(300), {})
+    design = Design(time, reading, field, {}, np.arange(300), {})
     fit = fit_design(
         design,
         LinearOptions(noise_nT=10.0, lsb_nT=0.0, covariance="blocks", robust="none"),
@@ -238,7 +238,7 @@ def test_one_block_that_alone_determines_a_column(seasat: Any) -> None:
     )
     assert np.isfinite(fit.calibration.sigmas).all()
     reading[:, 1] = np.where(np.arange(300) < 30, reading[:, 1], 500.0)  # no noise left there either
-    exact = Design(time, reading, field, None, np.arange(300), {})
+    exact = Design(time, reading, field, {}, np.arange(300), {})
     fit = fit_design(
         exact,
         LinearOptions(noise_nT=10.0, lsb_nT=0.0, covariance="blocks", robust="none"),
@@ -256,7 +256,7 @@ def test_the_names_of_passes_do_not_matter(seasat: Any) -> None:
     reading += rng.normal(size=field.shape) * 10.0
     time = np.datetime64("1978-07-24", "ns") + np.arange(300) * np.timedelta64(60, "s")
     design, options = (
-        Design(time, reading, field, None, np.arange(300), {}),
+        Design(time, reading, field, {}, np.arange(300), {}),
         LinearOptions(noise_nT=10.0, lsb_nT=0.0, robust="none"),
     )
     rising = np.repeat(np.arange(10), 30)

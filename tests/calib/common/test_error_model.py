@@ -32,7 +32,7 @@ def orbiting(seconds: np.ndarray) -> np.ndarray:
 
 def rows_of(seconds: np.ndarray, reading: np.ndarray, reference: np.ndarray) -> Design:
     time = np.datetime64("2022-01-01", "ns") + (seconds * 1e9).astype("int64").astype("timedelta64[ns]")
-    return Design(time, reading, reference, None, np.arange(len(time)), {})
+    return Design(time, reading, reference, {}, np.arange(len(time)), {})
 
 
 def read(true: np.ndarray, noise_nT: float, rng: np.random.Generator) -> np.ndarray:

@@ -109,7 +109,7 @@ def test_statistics_of_a_known_process() -> None:
     assert 90.0 <= correlation_time_s(time, r, segment) <= 120.0  # lags grow by a fifth
     statistics = residual_statistics(time, r)
     assert statistics.component_rms_nT == pytest.approx(1.0 / np.sqrt(1.0 - 0.81), rel=0.02)
-    assert statistics.component_rms_mG == statistics.component_rms_nT / 100.0
+    assert statistics.to_dict()["component_rms_mG"] == statistics.component_rms_nT / 100.0
 
 
 @pytest.mark.parametrize("lsb", [440.0, 4.7, 0.1])

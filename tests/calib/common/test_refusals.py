@@ -126,7 +126,7 @@ def test_a_field_that_does_not_vary_along_an_axis(seasat: Any, direction: str) -
     reading = seasat.magnetometer(noise_nT=0.0).ideal_reading(reference)
     reading = np.stack([reference[:, 0], np.full(len(reference), 7000.0), reference[:, 2]], axis=1)
     reading = reading + rng.normal(size=reading.shape) * 100.0
-    design = Design(seasat.time, reading, reference, None, np.arange(len(reading)), {})
+    design = Design(seasat.time, reading, reference, {}, np.arange(len(reading)), {})
     with pytest.raises(
         NoAnswer, match=r"does not vary beyond the noise along body Y: S12, S22, S32, b1, b2 and b3 .* stuck axis"
     ):

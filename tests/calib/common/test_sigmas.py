@@ -28,7 +28,7 @@ pytestmark = pytest.mark.closure
 def rows_at(seconds: np.ndarray, reading: np.ndarray, field: np.ndarray) -> Design:
     """A design of given seconds."""
     time = np.datetime64("1978-07-24", "ns") + (seconds * 1e9).astype("int64").astype("timedelta64[ns]")
-    return Design(time, reading, field, None, np.arange(len(field)), {})
+    return Design(time, reading, field, {}, np.arange(len(field)), {})
 
 
 def markov(rows: int, memory: float, rng: np.random.Generator) -> np.ndarray:
@@ -99,7 +99,7 @@ def test_errors_that_last_ten_minutes(seasat: Any, rows: int, limit: float) -> N
         rng = np.random.default_rng([53, seed])
         slow = np.concatenate([markov(n, 10.0, rng) for n in (92, 88, 101, 44)]) * 250.0
         reading = meter.reading(seasat.field_B_nT + slow, None, rng)[:rows]
-        now = Design(seasat.time[:rows], reading, seasat.field_B_nT[:rows], None, np.arange(rows), {})
+        now = Design(seasat.time[:rows], reading, seasat.field_B_nT[:rows], {}, np.arange(rows), {})
         fit = fit_design(now, LinearOptions(noise_nT=50.0, lsb_nT=0.0, robust="none"))
         found.append(pull(fit, meter))
         white.append(
@@ -173,7 +173,7 @@ def test_noise_that_differs_between_axes_is_found(seasat: Any) -> None:
     for seed in range(100):
         rng = np.random.default_rng([57, seed])
         reading = meter.ideal_reading(seasat.field_B_nT) + rng.normal(size=(325, 3)) * noise
-        now = Design(seasat.time, reading, seasat.field_B_nT, None, np.arange(325), {})
+        now = Design(seasat.time, reading, seasat.field_B_nT, {}, np.arange(325), {})
         fit = fit_design(now, LinearOptions(covariance="white", robust="none"))
         pulls.append(pull(fit, meter))
         found.append(fit.noise.variance_nT2)
@@ -211,7 +211,7 @@ def test_noise_that_lasts_is_counted_as_unknown(seasat: Any) -> None:
     for seed in range(10):
         rng = np.random.default_rng([58, seed])
         reading = meter.ideal_reading(seasat.field_B_nT) + 300.0 * markov(325, 3.0, rng)
-        now = Design(seasat.time, reading, seasat.field_B_nT, None, np.arange(325), {})
+        now = Design(seasat.time, reading, seasat.field_B_nT, {}, np.arange(325), {})
         fit = fit_design(now, LinearOptions(covariance="white", robust="none"))
         assert (fit.noise.variance_nT2 < 250.0**2).all()
         sigma = np.sqrt(np.diag(fit.noise.covariance))

@@ -13,13 +13,13 @@ from scipy.spatial.transform import Rotation
 
 from fluxtwin.calib.common.apply import apply_calibration
 from fluxtwin.calib.common.covariance import cell_starts
+from fluxtwin.calib.common.design import Design
 from fluxtwin.calib.common.records import Calibration
 from fluxtwin.calib.common.residuals import predict
 from fluxtwin.calib.methods import calibrate_by, default_method
 from fluxtwin.calib.scalar.calibrate import ScalarOptions, calibrate_scalar, fit_rows
 from fluxtwin.calib.scalar.covariance import Scores, white_covariance
 from fluxtwin.calib.scalar.model import ScalarData, add_up, own_noise, residual, terms
-from fluxtwin.calib.scalar.rows import ScalarRows
 from fluxtwin.sim.base.errors import BadInput, NoAnswer
 from fluxtwin.sim.earth import frames
 from fluxtwin.sim.earth.field import FieldModel, field_N_nT, load_field
@@ -32,7 +32,7 @@ D = np.array([[0.03, 0.01, -0.005], [0.01, -0.02, 0.004], [-0.005, 0.004, 0.01]]
 B_NT = np.array([100.0, -200.0, 300.0])
 
 
-def some_rows(seed: int = 1, samples: int = 800, noise_nT: float = 200.0) -> ScalarRows:
+def some_rows(seed: int = 1, samples: int = 800, noise_nT: float = 200.0) -> Design:
     """Random directions; (I+D) B + b is the field."""
     rng = np.random.default_rng(seed)
     unit = rng.normal(size=(samples, 3))
@@ -40,7 +40,7 @@ def some_rows(seed: int = 1, samples: int = 800, noise_nT: float = 200.0) -> Sca
     field = unit / np.linalg.norm(unit, axis=1)[:, None] * H[:, None]
     B = (field - B_NT) @ np.linalg.inv(np.eye(3) + D) + noise_nT * rng.normal(size=(samples, 3))
     time = np.datetime64("2020-01-01", "ns") + np.arange(samples) * np.timedelta64(60, "s")
-    return ScalarRows(time, B, H, {}, np.arange(samples), {})
+    return Design(time, B, H, {}, np.arange(samples), {})
 
 
 @pytest.fixture(scope="module")
@@ -92,7 +92,7 @@ def test_derivatives_are_those_of_the_residual(close: Callable[..., None]) -> No
 def test_turning_the_sensor_turns_the_answer(close: Callable[..., None]) -> None:
     rows = some_rows()
     R = Rotation.from_rotvec([0.4, -0.7, 1.1]).as_matrix()
-    turned = ScalarRows(rows.time, rows.B_nT @ R.T, rows.H_nT, {}, rows.rows, {})
+    turned = Design(rows.time, rows.B_nT @ R.T, rows.H_nT, {}, rows.rows, {})
     for method in ("twostep", "scalar"):
         options = ScalarOptions(method=method, noise_nT=200.0, lsb_nT=0.0, covariance="white", robust="none")
         one, other = (fit_rows(part, options).calibration for part in (rows, turned))
@@ -102,7 +102,7 @@ def test_turning_the_sensor_turns_the_answer(close: Callable[..., None]) -> None
 
 def test_the_unit_of_the_field_does_not_matter(close: Callable[..., None]) -> None:
     rows = some_rows()
-    small = ScalarRows(rows.time, rows.B_nT * 1e-3, rows.H_nT * 1e-3, {}, rows.rows, {})
+    small = Design(rows.time, rows.B_nT * 1e-3, rows.H_nT * 1e-3, {}, rows.rows, {})
     one = fit_rows(rows, ScalarOptions(noise_nT=200.0, lsb_nT=0.0, robust="none")).calibration
     other = fit_rows(small, ScalarOptions(noise_nT=0.2, lsb_nT=0.0, robust="none")).calibration
     close(other.S, one.S, atol=1e-12, unit="1", because="rounding")

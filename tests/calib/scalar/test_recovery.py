@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from fluxtwin.calib.common.design import Design
 from fluxtwin.calib.scalar import calibrate
 from fluxtwin.calib.scalar.calibrate import ScalarFit, ScalarOptions, fit_rows
-from fluxtwin.calib.scalar.rows import ScalarRows
 from fluxtwin.sim.base.errors import NoAnswer
 
 pytestmark = pytest.mark.closure
@@ -40,12 +40,12 @@ def rows_of(
     added: np.ndarray | float = 0.0,
     columns: dict[str, np.ndarray] | None = None,
     error_nT: np.ndarray | float = 0.0,
-) -> ScalarRows:
+) -> Design:
     """Readings (I+S)^-1 (field - b) + added + noise; |H| is off by error_nT."""
     B = (field - B_NT) @ np.linalg.inv(np.eye(3) + S) + added + noise_nT * rng.normal(size=field.shape)
     time = np.datetime64("2020-01-01", "ns") + np.arange(len(field)) * np.timedelta64(30, "s")
     H = np.linalg.norm(field, axis=1) + error_nT
-    return ScalarRows(time, B, H, columns or {}, np.arange(len(field)), {})
+    return Design(time, B, H, columns or {}, np.arange(len(field)), {})
 
 
 def varied(rng: np.random.Generator, samples: int = 600) -> np.ndarray:
@@ -175,7 +175,7 @@ def test_a_plane_through_zero_and_a_line_and_a_cone() -> None:
     cone = np.stack([0.6 * np.cos(angle), 0.6 * np.sin(angle), np.full(600, 0.8)], axis=1)
     cone = cone * (30_000.0 + 8000.0 * rng.uniform(-1, 1, 600))[:, None]
     rows = rows_of(cone, rng, S=D * 0)
-    rows = ScalarRows(rows.time, rows.B_nT + B_NT, rows.H_nT, {}, rows.rows, {})  # no bias: a cone in the readings too
+    rows = Design(rows.time, rows.B_nT + B_NT, rows.H_nT, {}, rows.rows, {})  # no bias: a cone in the readings too
     with pytest.raises(NoAnswer, match="cone about body Z") as refusal:
         fit_rows(rows, ScalarOptions(robust="none"))
     assert "S33" in refusal.value.evidence["parameters"]
@@ -211,7 +211,7 @@ def test_a_current_and_torquers_without_attitude() -> None:
         bias = fit.calibration.telemetry_bias["array_current_A"]
         found.append(np.concatenate([pulls(fit), (bias.value_nT - s) / bias.sigma_nT]))
         ignored = fit_rows(
-            ScalarRows(rows.time, rows.B_nT, rows.H_nT, {}, rows.rows, {}),
+            Design(rows.time, rows.B_nT, rows.H_nT, {}, rows.rows, {}),
             ScalarOptions(noise_nT=200.0, covariance="white", robust="none"),
         )
         dipole = rng.choice([-20.0, 0.0, 20.0], (900, 3))
@@ -287,7 +287,7 @@ def test_errors_that_hang_together_widen_the_sigmas() -> None:
         turn = lfilter([1.0], [1.0, -rho], rng.normal(size=(1600, 3)), axis=0)[100:]
         field = turn / np.linalg.norm(turn, axis=1)[:, None] * (30_000.0 + 4000.0 * rng.uniform(-1, 1, (1500, 1)))
         rows = rows_of(field, rng, noise_nT=50.0, error_nT=slow)
-        rows = ScalarRows(rows.time, rows.B_nT, rows.H_nT, {}, rows.rows, {}, radian_s=600.0)
+        rows = Design(rows.time, rows.B_nT, rows.H_nT, {}, rows.rows, {}, radian_s=600.0)
         known = {"noise_nT": 50.0, "lsb_nT": 0.0}
         white.append(pulls(fit_rows(rows, ScalarOptions(covariance="white", **known, robust="none"))))
         blocks.append(pulls(fit_rows(rows, ScalarOptions(covariance="blocks", block_s=2400.0, **known, robust="none"))))
@@ -308,7 +308,7 @@ def test_blocks_allow_for_errors_that_are_constant_in_a_pass(passes: Any) -> Non
         B = (passes.field_B_nT - B_NT) @ np.linalg.inv(np.eye(3) + D) + 40.0 * rng.normal(size=passes.field_B_nT.shape)
         wrong = np.repeat(120.0 * rng.normal(size=(40, 3)), 12, axis=0)
         H = np.linalg.norm(passes.field_B_nT + wrong, axis=1)
-        rows = ScalarRows(passes.time, B, H, {}, np.arange(480), {})
+        rows = Design(passes.time, B, H, {}, np.arange(480), {})
         known = {"noise_nT": 40.0, "lsb_nT": 0.0}
         white.append(pulls(fit_rows(rows, ScalarOptions(covariance="white", **known, robust="none"))))
         blocks.append(pulls(fit_rows(rows, ScalarOptions(covariance="blocks", **known, robust="none"))))

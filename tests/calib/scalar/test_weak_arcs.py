@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from fluxtwin.calib.common.design import Design
 from fluxtwin.calib.scalar.calibrate import ScalarOptions, fit_rows
-from fluxtwin.calib.scalar.rows import ScalarRows, assemble_scalar
+from fluxtwin.calib.scalar.rows import assemble_scalar
 from fluxtwin.calib.spin.calibrate import calibrate_spin
 from fluxtwin.scenarios.st5 import mission
 from fluxtwin.sim.base.errors import NoAnswer
@@ -27,7 +28,7 @@ def hour() -> Telemetry:
     return mission.fly(mission.scenario().updated({"orbit.argument_of_latitude_deg": 100.0})).telemetry
 
 
-def stretch(hour: Telemetry, minutes: tuple[int, int]) -> ScalarRows:
+def stretch(hour: Telemetry, minutes: tuple[int, int]) -> Design:
     since = (hour.time - hour.time[0]) / np.timedelta64(60, "s")
     return assemble_scalar(hour.select((since >= minutes[0]) & (since < minutes[1])), load_field("igrf14"))
 

@@ -98,7 +98,7 @@ def test_what_looks_back_does_not_see_the_errors_of_the_rows_before(name: str, t
     for telemetry in (bare, perturbed):
         problem = pose(telemetry, load_field("igrf14"))
         active = [(find_effect(name), np.array(theta))]
-        predicted.append((problem.chain.baseline_nT, problem.chain.reading_nT(active)))
+        predicted.append((problem.chain.reading_nT(), problem.chain.reading_nT(active)))
     own = predicted[1][0] - predicted[0][0]
     added = (predicted[1][1] - predicted[0][1]) - own
     inside = slice(20, -20)

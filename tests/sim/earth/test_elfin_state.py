@@ -81,7 +81,7 @@ def test_shadow_lasts_as_long_as_the_geometry_says(state, times, close):
     towards = sun.sun_direction_N(times)
     normal = np.cross(r, v)
     sin_beta = (normal * towards).sum(axis=1) / np.linalg.norm(normal, axis=1)
-    shadow = runs(sun.sunlit(r, sun.sun_N_km(times)) == 0)
+    shadow = runs(sun.illumination(r, sun.sun_N_km(times)) <= 0.5)
     inner = [(first, length) for first, length in shadow if first > 0 and first + length < times.size]
     for first, length in inner:
         middle = first + length // 2

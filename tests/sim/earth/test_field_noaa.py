@@ -38,7 +38,7 @@ def noaa(name: str) -> tuple[np.ndarray, np.ndarray]:
 
 
 def igrf13() -> field.FieldModel:
-    read = runpy.run_path(str(ROOT / "sim" / "earth" / "data" / "build_igrf14.py"))["read"]
+    read = runpy.run_path(str(ROOT / "sim" / "earth" / "data" / "build_igrf.py"))["read"]
     data = read((importlib.resources.files("ppigrf") / "IGRF13.shc").read_text(encoding="utf-8"))
     knots = (data["years"] - 1970).astype("datetime64[Y]").astype("datetime64[ns]")
     return field_models.linear_model("igrf13", "IGRF-13", knots, data["coefficients_nT"])

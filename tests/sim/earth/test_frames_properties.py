@@ -10,8 +10,8 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from fluxtwin.sim.base.interpolation import on_grid
 from fluxtwin.sim.earth import epoch, frames, sun
+from fluxtwin.sim.earth.frames import on_grid
 from fluxtwin.sim.earth.orbit import Orbit
 
 pytestmark = pytest.mark.property

@@ -7,7 +7,6 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
 
-from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.earth import epoch, frames
 from fluxtwin.sim.earth.constants import EARTH_RADIUS_KM, GM_EARTH_KM3_S2, J2_EARTH
 from fluxtwin.sim.earth.orbit import Orbit, argument_of_latitude, eccentric_anomaly, kepler_period_s, orbital_rates
@@ -259,19 +258,3 @@ def test_perigee_to_perigee_of_an_eccentric_orbit(close, i_deg):
 def node_rate(states, seconds):
     h = np.cross(states[:, :3], states[:, 3:])
     return np.polyfit(seconds, np.unwrap(np.arctan2(h[:, 0], -h[:, 1])), 1)[0]
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"e": 1.0}, "eccentricity"),
-        ({"e": -0.1}, "eccentricity"),
-        ({"i_deg": 190.0}, "inclination"),
-        ({"a_km": 6400.0}, "perigee"),
-        ({"e": 0.2}, "perigee"),
-        ({"raan": np.nan}, "raan_rad"),
-    ],
-)
-def test_elements_that_are_no_orbit_are_refused(changes, message):
-    with pytest.raises(BadInput, match=message):
-        orbit(**changes)

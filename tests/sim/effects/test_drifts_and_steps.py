@@ -59,10 +59,10 @@ def test_an_axis_read_a_row_later_reads_what_the_next_row_has(close: Close) -> N
     skewed = reading(plain, AxisSkew(), STEP_S, 2.0 * STEP_S)
     inside = slice(10, -12)
     for axis, rows in ((0, 0), (1, 1), (2, 2)):
-        later = np.roll(plain.baseline_nT[:, axis], -rows)
+        later = np.roll(plain.reading_nT()[:, axis], -rows)
         close(skewed[inside, axis], later[inside], atol=0.01, unit="nT", because="the track between rows is a fit")
-    assert np.abs(skewed[:-1, 1] - plain.baseline_nT[:-1, 1]).max() > 100.0
-    wrong = np.roll(plain.baseline_nT[:, 1], 1)
+    assert np.abs(skewed[:-1, 1] - plain.reading_nT()[:-1, 1]).max() > 100.0
+    wrong = np.roll(plain.reading_nT()[:, 1], 1)
     assert np.abs(skewed[inside, 1] - wrong[inside]).max() > 100.0
 
 
@@ -73,7 +73,7 @@ def test_the_lag_of_one_axis_is_that_axis_of_the_common_lag() -> None:
         late = reading(plain, SensorLag(name), 3.0)  # type: ignore[arg-type]
         others = [other for other in range(3) if other != axis]
         np.testing.assert_array_equal(late[:, axis], common[:, axis])
-        np.testing.assert_array_equal(late[:, others], plain.baseline_nT[:, others])
+        np.testing.assert_array_equal(late[:, others], plain.reading_nT()[:, others])
     assert {one.axis for one in SensorLag().alternatives(plain.setting)} == {"all", "x", "y", "z"}
     assert SensorLag("x").alternatives(plain.setting) == (SensorLag("x"),)
 
@@ -118,7 +118,7 @@ def test_a_linear_course_is_at_each_row_the_constant_of_that_moment(
     since = epoch.iso(plain.setting.time[130])
     close(
         reading(plain, effect(course="linear", since=since), 0.0, rate)[130],  # type: ignore[call-arg]
-        plain.baseline_nT[130],
+        plain.reading_nT()[130],
         atol=1e-6,
         unit="nT",
         because="nothing has grown at its own beginning",
@@ -142,7 +142,7 @@ def test_a_common_gain_multiplies_the_bias_too(close: Close) -> None:
     warm = 10.0 + 8.0 * np.sin(np.arange(ROWS) / 60.0)
     plain = chain(temperature_degC=warm)
     found = reading(plain, CommonGainDrift(), 0.003)
-    want = (1.0 + 0.003 * (warm - warm.mean()))[:, None] * plain.baseline_nT
+    want = (1.0 + 0.003 * (warm - warm.mean()))[:, None] * plain.reading_nT()
     close(found, want, atol=1e-6, unit="nT", because="rounding of 5e4 nT")
     assert len(CommonGainDrift().alternatives(plain.setting)) == 1
     assert [one.time_constant_s for one in CommonGainDrift().alternatives(chain().setting)] == [600.0, 1500.0, 3600.0]
@@ -153,10 +153,10 @@ def test_a_quarter_turn_at_a_moment_swaps_axes_from_then_on(effect: type[Turning
     """The axes turn right-handed about z, so x has what y had, and y less what x had."""
     plain = chain(np.zeros((3, 3)))
     stepped = effect(at=epoch.iso(plain.setting.time[250]))
-    x, y, z = (plain.baseline_nT + B_NT).T
+    x, y, z = (plain.reading_nT() + B_NT).T
     want = np.stack([y, -x, z], axis=1) - B_NT
     found = reading(plain, stepped, 0.0, 0.0, 90.0)
-    close(found[:250], plain.baseline_nT[:250], atol=1e-9, unit="nT", because="rounding of 5e4 nT")
+    close(found[:250], plain.reading_nT()[:250], atol=1e-9, unit="nT", because="rounding of 5e4 nT")
     close(found[250:], want[250:], atol=1e-6, unit="nT", because="rounding of 5e4 nT")
 
 
@@ -190,7 +190,7 @@ def test_stray_field_follows_the_sun_in_the_body_while_it_shines(close: Close) -
     plain = chain(np.zeros((3, 3)), np.zeros(3))
     setting = plain.setting
     F = np.arange(9.0).reshape(3, 3) * 20.0
-    found = reading(plain, StrayField(), *F.ravel()) - plain.baseline_nT
+    found = reading(plain, StrayField(), *F.ravel()) - plain.reading_nT()
     sun_B = setting.given[2].apply(sun.sun_direction_N(setting.time, setting.given[0]))
     lit = setting.illumination
     assert 0.1 < (lit == 0.0).mean() < 0.9

@@ -65,7 +65,7 @@ def spinning(
 
 
 def added(chain: Chain, effect: SignalEffect, theta: Any) -> FloatArray:
-    return chain.reading_nT([(effect, np.asarray(theta, dtype=float))]) - chain.baseline_nT
+    return chain.reading_nT([(effect, np.asarray(theta, dtype=float))]) - chain.reading_nT()
 
 
 def drawn(chain: Chain, effect: Any, theta: float, seed: int = 7) -> tuple[FloatArray, FloatArray]:
@@ -104,7 +104,7 @@ def test_a_boom_without_thermometer_lags_behind_sun_and_shadow(close: Callable[.
     chain = spinning(seconds, 0.0, sunlit=sunlit)
     bend = BoomBending(time_constant_s=tau_s, reference_degC=0.0)
     turned = chain.reading_nT([(bend, np.array([0.0, 0.0, 0.1]))])
-    field = chain.baseline_nT
+    field = chain.reading_nT()
     angle = np.degrees(np.arctan2(field[:, 1], field[:, 0]) - np.arctan2(turned[:, 1], turned[:, 0]))
     since = seconds - 1000.0 + 2.5  # between two stamps the light is their mean: half a step earlier
     step = np.where(since > 0.0, 2.0 * (1.0 - np.exp(-since / tau_s)), 0.0)
@@ -117,7 +117,7 @@ def test_eddy_current_of_a_steady_spin(close: Callable[..., None]) -> None:
     """In a steady field a body spinning about z at w sees dB/dt = w (By, -Bx, 0): the minus of w z x B."""
     w = 0.4
     chain = spinning(np.arange(40) * 3.0, w)
-    field = chain.baseline_nT
+    field = chain.reading_nT()
     x, y = field[:, 0], field[:, 1]
     expected = -0.05 * w * np.stack([y, x, 0.0 * x], axis=1)  # -K dB/dt with K = diag(k, -k, 0)
     # The sine of the two-second difference of positions and R_EN is exact; what is left is the Earth's turning of
@@ -136,7 +136,7 @@ def test_eddy_current_has_the_derivative_of_the_reading(close: Callable[..., Non
     time = epoch.add_seconds(START, np.arange(401) * 0.05)
     motion = Spinner(time, 0.3, (0.6, 0.0, 0.8))
     chain = Chain(Setting(time, motion, "predict", load_field("igrf14"), PLAIN, {}))
-    slope = np.gradient(chain.baseline_nT, 0.05, axis=0)[5:-5]
+    slope = np.gradient(chain.reading_nT(), 0.05, axis=0)[5:-5]
     K = np.array([[0.02, 0.01, -0.03], [0.01, -0.05, 0.04], [-0.03, 0.04, 0.03]])
     found = added(chain, EddyCurrent(), [0.02, -0.05, 0.01, -0.03, 0.04])[5:-5]
     close(
@@ -195,7 +195,7 @@ def test_sensor_lag_of_a_spin_turns_and_shrinks_the_field(
     Also where it turns nearly once round from stamp to stamp.
     """
     chain = spinning(np.arange(200) * step_s, w, CROOKED)
-    field = chain.baseline_nT @ (np.eye(3) + CROOKED.S).T + CROOKED.b_nT
+    field = chain.reading_nT() @ (np.eye(3) + CROOKED.S).T + CROOKED.b_nT
     assert np.abs(field[:, 2] - field[0, 2]).max() < 1.0
     plane = (field[:, 0] + 1j * field[:, 1]) / (1.0 - 1j * w * tau)
     expected = CROOKED.ideal_reading(np.stack([plane.real, plane.imag, field[:, 2]], axis=1))
@@ -208,7 +208,7 @@ def test_sensor_lag_of_a_spin_turns_and_shrinks_the_field(
         unit="nT",
         because="(w h)^4 / 384 = 1e-5 of 26,000 nT with w h of 0.3 at most, and the rest of the start",
     )
-    assert np.abs(chain.baseline_nT - expected)[late].max() > 1000.0
+    assert np.abs(chain.reading_nT() - expected)[late].max() > 1000.0
 
 
 def test_play_is_a_closed_loop_of_its_width(close: Callable[..., None]) -> None:
@@ -226,7 +226,7 @@ def test_play_is_a_closed_loop_of_its_width(close: Callable[..., None]) -> None:
 
 def test_hysteresis_reads_low_on_the_way_up(close: Callable[..., None]) -> None:
     chain = spinning(np.linspace(0.0, 300.0, 2001), 2.0 * np.pi / 60.0)
-    x = chain.baseline_nT[:, 0]
+    x = chain.reading_nT()[:, 0]
     found = added(chain, Hysteresis(width_nT=3000.0), [80.0, 0.0, 0.0])
     close(np.abs(found).max(), 80.0, atol=1e-9, unit="nT", because="the remanence is bounded by its amplitude")
     assert np.abs(found[:, 1:]).max() == 0.0
@@ -367,7 +367,7 @@ def test_flipped_bits_are_powers_of_two_of_the_lsb(close: Callable[..., None]) -
     instrument = Magnetometer(np.zeros((3, 3)), np.zeros(3), lsb_nT=440.0)
     chain = spinning(np.arange(4000) * 1.0, 0.05, instrument)
     _, after = drawn(chain, BitErrors(), 0.2)
-    steps = np.rint((after - chain.baseline_nT) / 440.0).astype(int)
+    steps = np.rint((after - chain.reading_nT()) / 440.0).astype(int)
     hit = steps != 0
     size = np.log2(np.abs(steps[hit]))
     assert (size == np.rint(size)).all()
@@ -375,12 +375,12 @@ def test_flipped_bits_are_powers_of_two_of_the_lsb(close: Callable[..., None]) -
     # 12,000 components: 4 sigma of a binomial, missed by chance in 6e-5 of the runs.
     close(hit.mean(), 0.2, atol=4.0 * np.sqrt(0.2 * 0.8 / 12000), unit="", because="the rate")
     _, third = drawn(chain, BitErrors(bit=3), 1.0)
-    close(np.abs(third - chain.baseline_nT), 8 * 440.0, atol=1e-6, unit="nT", because="bit 3 is 8 LSB")
+    close(np.abs(third - chain.reading_nT()), 8 * 440.0, atol=1e-6, unit="nT", because="bit 3 is 8 LSB")
 
 
 def test_stuck_bits_are_stuck() -> None:
     chain = spinning(np.arange(500) * 1.0, 0.05, Magnetometer(np.zeros((3, 3)), np.zeros(3), lsb_nT=0.7))
-    rounded = chain.signal().with_reading(0.7 * np.rint(chain.baseline_nT / 0.7))
+    rounded = chain.signal().with_reading(0.7 * np.rint(chain.reading_nT() / 0.7))
     for effect, bit in ((BitErrors(4, "stuck_0"), 0), (BitErrors(4, "stuck_1"), 1)):
         stuck = effect.draw(rounded, np.array([1.0]), np.random.default_rng(1)).reading
         code = np.rint(stuck / 0.7).astype(int)

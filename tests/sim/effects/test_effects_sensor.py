@@ -107,12 +107,12 @@ def bare() -> Chain:
 
 
 def added(chain: Chain, effect: SignalEffect, theta: Any) -> FloatArray:
-    return chain.reading_nT([(effect, np.asarray(theta, dtype=float))]) - chain.baseline_nT
+    return chain.reading_nT([(effect, np.asarray(theta, dtype=float))]) - chain.reading_nT()
 
 
 def drawn(chain: Chain, effect: DistributionEffect, size: float, seed: int = 3) -> FloatArray:
     signal = effect.draw(chain.signal(), np.array([size]), np.random.default_rng(seed))
-    return signal.reading - chain.baseline_nT
+    return signal.reading - chain.reading_nT()
 
 
 @pytest.mark.parametrize("name", MINE)
@@ -299,27 +299,27 @@ def test_a_step_in_a_gap_is_tried_where_the_rows_go_on(bare: Chain) -> None:
 
 
 def test_saturation_clips_at_the_depth(bare: Chain) -> None:
-    largest = np.abs(bare.baseline_nT).max()
+    largest = np.abs(bare.reading_nT()).max()
     clipped = bare.reading_nT([(Saturation(), np.array([5000.0]))])
-    np.testing.assert_array_equal(clipped, np.clip(bare.baseline_nT, 5000.0 - largest, largest - 5000.0))
-    assert 3 < (clipped != bare.baseline_nT).sum() < clipped.size
+    np.testing.assert_array_equal(clipped, np.clip(bare.reading_nT(), 5000.0 - largest, largest - 5000.0))
+    assert 3 < (clipped != bare.reading_nT()).sum() < clipped.size
 
 
 def test_saturated_readings_have_no_noise(bare: Chain) -> None:
     """Noise, clipping, rounding, in that order: what is clipped repeats exactly."""
     noise = 100.0 * np.random.default_rng(1).standard_normal((800, 3))
     reading = bare.simulated([(Saturation(), np.array([8000.0]))], seed=1, noise_nT=noise).reading
-    limit = np.abs(bare.baseline_nT).max() - 8000.0
+    limit = np.abs(bare.reading_nT()).max() - 8000.0
     assert np.abs(reading).max() == limit
-    inside = np.abs(bare.baseline_nT + noise) < limit
-    np.testing.assert_allclose(reading[inside], (bare.baseline_nT + noise)[inside], rtol=1e-12)
+    inside = np.abs(bare.reading_nT() + noise) < limit
+    np.testing.assert_allclose(reading[inside], (bare.reading_nT() + noise)[inside], rtol=1e-12)
     assert (np.abs(reading) == limit).sum() > 20
 
 
 def test_a_coarser_step_comes_after_the_declared_one() -> None:
     chain = design(100, instrument=Magnetometer(np.zeros((3, 3)), np.zeros(3), lsb_nT=10.0))
     reading = chain.simulated([(CoarseQuantization(), np.array([400.0]))], seed=1, noise_nT=np.zeros((100, 3))).reading
-    np.testing.assert_array_equal(reading, 400.0 * np.rint(10.0 * np.rint(chain.baseline_nT / 10.0) / 400.0))
+    np.testing.assert_array_equal(reading, 400.0 * np.rint(10.0 * np.rint(chain.reading_nT() / 10.0) / 400.0))
 
 
 def test_a_random_walk_grows_with_the_root_of_time(close: Callable[..., None]) -> None:
@@ -358,7 +358,7 @@ def test_distribution_effects_repeat_with_their_seed(bare: Chain) -> None:
         first, again, other = (bare.simulated([(effect, np.array([size]))], seed=seed).reading for seed in (5, 5, 6))
         np.testing.assert_array_equal(first, again)
         assert (first != other).any()
-        assert (effect.draw(bare.signal(), np.zeros(1), np.random.default_rng(1)).reading == bare.baseline_nT).all()
+        assert (effect.draw(bare.signal(), np.zeros(1), np.random.default_rng(1)).reading == bare.reading_nT()).all()
 
 
 def test_a_bit_that_does_not_exist_is_refused(bare: Chain) -> None:

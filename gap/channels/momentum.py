@@ -46,19 +46,10 @@ from fluxtwin.sim.spacecraft.dynamics.vehicle import Vehicle
 _TAUS_S = (0.0, 15.0, 30.0, 60.0, 120.0, 250.0, 500.0, 1000.0, 2000.0)
 _RATIOS = (0.0, *np.geomspace(1e-4, 1e4, 17))
 """Variance at the nodes by a white torque, or rate, over that of the attitude's error."""
-_PLAIN = 0.5
-"""Of log likelihood a decade: where the data do not say, little moves the body unrecorded."""
 _FINEST_RAD = float(np.radians(0.002))
 """No attitude is taken to be better: what wheels do between rows, and short arcs, are not known better."""
-_ROUNDS = 3
-_NEAR = 4
-_SURE = 1e-5
-"""Images are differences of two flights, right to 1e-8: a combination of them with less is not known to a thousandth."""
 _DEAD_RAD = 1e-9
 """A parameter of its typical size that turns no node by more is not there."""
-
-_SPANS = (3, 9)
-"""Rows over which the quick part of wheels is separated from the slow one."""
 
 DYNAMICS: tuple[DynamicsEffect, ...] = tuple(e for e in CATALOGUE if isinstance(e, DynamicsEffect))
 _AHEAD = AlongTrackError.name
@@ -175,7 +166,7 @@ def choose_noise(windows: Windows, residual: FloatArray, saturated: FloatArray, 
         return seen[noise][0]
 
     def climbed(best: MomentumNoise) -> MomentumNoise:
-        for _ in range(_ROUNDS):
+        for _ in range(3):
             for name, grid in (("torque", _RATIOS), ("rate", _RATIOS), ("tau_s", taus)):
                 best = _climbed(best, name, grid, likelihood)
         return best
@@ -190,7 +181,7 @@ def _climbed(
     noise: MomentumNoise, name: str, grid: Sequence[float], likelihood: Callable[[MomentumNoise], float]
 ) -> MomentumNoise:
     """The best along one axis of the grid, or the first that is as good: coarse first, then beside the best."""
-    places = sorted({*range(0, len(grid), _NEAR), grid.index(getattr(noise, name)), len(grid) - 1})
+    places = sorted({*range(0, len(grid), 4), grid.index(getattr(noise, name)), len(grid) - 1})
     while True:
         heights = [likelihood(replace(noise, **{name: grid[place]})) for place in places]
         best = min(place for place, height in zip(places, heights, strict=True) if height >= max(heights) - CLOSE)
@@ -211,14 +202,16 @@ def _likelihood(
     # Only what Q makes of one vector is wanted, not Q: half the time.
     along, R, _ = qr_multiply(design, white, mode="right", pivoting=True)
     size = np.abs(np.diag(R))
-    kept = size > _SURE * max(float(size.max(initial=0.0)), 1e-300)
+    # Images are differences of two flights, right to 1e-8: a combination of them with less is not known to a thousandth.
+    kept = size > 1e-5 * max(float(size.max(initial=0.0)), 1e-300)
     free = max(whitener.measured - int(kept.sum()), 1)
     whole = float(white @ white)
     chi2 = max(whole - float(along[kept] @ along[kept]), 1e-14 * whole, 1e-300)  # not less than rounding
     sigma = float(np.sqrt(chi2 / free))
     value = -0.5 * (whitener.log_determinant + 2.0 * float(np.log(size[kept]).sum()) + free * np.log(chi2 / free))
     value += prior.log_density(prior.sigma_nT, sigma, noise.tau_s)
-    value -= _PLAIN * sum(np.log10(ratio / _RATIOS[1]) for ratio in (noise.torque, noise.rate) if ratio)
+    # A decade costs a half: where the data do not say, little moves the body unrecorded.
+    value -= 0.5 * sum(np.log10(ratio / _RATIOS[1]) for ratio in (noise.torque, noise.rate) if ratio)
     return float(value), sigma
 
 
@@ -291,7 +284,7 @@ def unresolved(windows: Windows) -> FloatArray:
     parts: list[FloatArray] = []
     if not arcs.resolved:
         vehicle, axes = arcs.craft.vehicle, np.eye(3)
-        for span in _SPANS:
+        for span in (3, 9):  # rows over which their quick part is separated from the slow one
             known = np.nan_to_num(arcs.wheels_B)
             quick = known - uniform_filter1d(known, span, axis=0, mode="nearest")
             parts += [arcs.flown(vehicle, wheels_B=quick * axis) - arcs.base for axis in axes if np.any(quick * axis)]

@@ -46,15 +46,6 @@ from fluxtwin.sim.telemetry.record import Telemetry
 
 MOST_ROWS = 5_000
 """Longer records are thinned to this many rows, evenly; what is faster is looked for in a stretch at the full rate."""
-_REPEATED = 0.5
-"""Share of readings that may be the same code as in the row before: rounding errors are noise, new in every row, only where
-the reading moves by about a step from row to row (Widrow & Kollar 2008, Quantization Noise, chapter 20)."""
-_FEWEST_ROWS = 200
-"""Rows that thinning leaves at the least: several for each of some fifteen parameters of a usual problem."""
-_PART_OF_SIGMA = 0.5
-"""By which the size of an effect may be off because S was not quite right: the error is then at most 12 % larger."""
-_BOUNDLESS_RAD = 1.0
-"""An attitude error beside which any other in a reading is nothing."""
 
 
 def diagnose(
@@ -109,7 +100,7 @@ def diagnose(
         facts["without_attitude"] = problem.axes.words
         notes.append(problem.axes.words)
     counted, robust = work.every_row
-    if robust.components_cut:
+    if robust.cut.any():
         facts["outliers"] = words.outliers(counted.time, robust.cut)
         notes.append(words.outliers(counted.time, robust.cut))
     if work.apart is not None:
@@ -266,7 +257,7 @@ def _beside_the_names(problem: Problem, answer: Answer) -> Problem:
     moved = float(np.abs(corrected(old, result.modelled).S - old.S).max())
     sizes = [abs(size.value / size.sigma) for one in result.named for size in one.parameters.values() if size.sigma]
     found = problem
-    if moved * max(sizes, default=0.0) > _PART_OF_SIGMA:
+    if moved * max(sizes, default=0.0) > 0.5:  # less makes the error of a size at most 12 % larger
         found = calibrated(problem, result.modelled)
     if problem.axes is not None and result.chosen:
         beside = [*(result.modelled if found is problem else found.modelled_active), *result.chosen]
@@ -321,7 +312,7 @@ def _attitude_would_do(problem: Problem, answer: Answer, dictionary: Dictionary)
     """
     if not problem.free_attitude_error or answer.known >= 0.5 or answer.result.named:
         return None
-    boundless = replace(answer.noise, theta_rad=_BOUNDLESS_RAD, tau_s=0.0)
+    boundless = replace(answer.noise, theta_rad=1.0, tau_s=0.0)
     whitener = whitener_of(problem, boundless, answer.robust.weights)
     if residual_structure(problem, whitener, answer.result.residual_nT, answer.fitted_nT, dictionary).structured:
         return None
@@ -332,9 +323,13 @@ def _attitude_would_do(problem: Problem, answer: Answer, dictionary: Dictionary)
 
 
 def new_rounding(telemetry: Telemetry) -> tuple[Telemetry, int]:
-    """The record with every n-th row, and n: as few as it takes for the rounding to be new from row to row."""
+    """The record with every n-th row, and n: as few as it takes for the rounding to be new from row to row, as noise is: it
+    is so only where the reading moves by about a step (Widrow & Kollar 2008, Quantization Noise, chapter 20).
+
+    At least 200 rows are left: several for each of some fifteen parameters of a usual problem.
+    """
     every = 1
-    while _repeated(telemetry.mag_B_nT[::every]) > _REPEATED and len(telemetry) >= 2 * every * _FEWEST_ROWS:
+    while _repeated(telemetry.mag_B_nT[::every]) > 0.5 and len(telemetry) >= 400 * every:
         every *= 2
     return _each(telemetry, every), every
 

@@ -43,7 +43,6 @@ from fluxtwin.sim.effects.clock_and_orbit import AlongTrackError, TimeTagOffset
 from fluxtwin.sim.effects.response import SensorLag
 from fluxtwin.sim.spacecraft.dynamics.vehicle import Vehicle
 
-_TAUS_S = (0.0, 15.0, 30.0, 60.0, 120.0, 250.0, 500.0, 1000.0, 2000.0)
 _RATIOS = (0.0, *np.geomspace(1e-4, 1e4, 17))
 """Variance at the nodes by a white torque, or rate, over that of the attitude's error."""
 _FINEST_RAD = float(np.radians(0.002))
@@ -156,7 +155,7 @@ class MomentumWhitener:
 def choose_noise(windows: Windows, residual: FloatArray, saturated: FloatArray, budget: Budget) -> MomentumNoise:
     """The noise of the largest restricted likelihood; residual (M, 3), saturated (M, 3, P): every possible cause."""
     prior, tau = prior_of(budget), budget.attitude_tau_s
-    taus = sorted({*(_TAUS_S[1:] if tau else _TAUS_S), *(() if tau is None else (tau,))})
+    taus = sorted({15.0, 30.0, 60.0, 120.0, 250.0, 500.0, 1000.0, 2000.0, tau or 0.0})
     starts = [min(taus, key=lambda value: abs(value - near)) for near in ((60.0, 1000.0) if tau is None else (tau,))]
     seen: dict[MomentumNoise, tuple[float, float]] = {}
 

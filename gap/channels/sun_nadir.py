@@ -217,6 +217,11 @@ class Channel:
         names, J = self.designs[name, head]
         return np.asarray(J @ np.radians([parameters_deg.get(key, 0.0) for key in names]))
 
+    def without(self, name: str, head: int | None, parameters_deg: Mapping[str, float]) -> Channel:
+        """The channel with a known fault taken out."""
+        known = self.predicted_rad(name, head, parameters_deg)
+        return self if known is None else replace(self, residual_rad=self.residual_rad - known)
+
     def beside_orbit(self) -> Channel:
         """The channel with whatever an error of the orbit does to it out of angles and faults alike.
 
@@ -390,8 +395,7 @@ def channel_of(telemetry: Telemetry, frozen: Sequence[Active]) -> Channel | None
         return None
     for effect, theta in frozen:
         values = {one.name: float(value) for one, value in zip(effect.parameters, theta, strict=True)}
-        known = channel.predicted_rad(effect.name, getattr(effect, "head", None) or None, values)
-        channel = channel if known is None else replace(channel, residual_rad=channel.residual_rad - known)
+        channel = channel.without(effect.name, getattr(effect, "head", None) or None, values)
     return channel
 
 

@@ -21,10 +21,6 @@ from fluxtwin.gap.problem.problem import DEFAULT_MODELLED, Problem
 from fluxtwin.gap.selection.criterion import SHAPE, THRESHOLD
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 
-_FURTHEST = 2.0
-"""Times the first one's, or a part of it: what the second may make of a field in any direction. One that makes nothing of it
-is dead, or in another unit."""
-
 
 @dataclass(frozen=True, eq=False)
 class Apart:
@@ -101,7 +97,7 @@ def apart(problem: Problem) -> Apart | None:
     relative_S = size[:9, 0].reshape(3, 3)
     second_of_first = np.eye(3) - relative_S
     gain = np.linalg.svd(second_of_first, compute_uv=False)
-    if gain.max() > _FURTHEST or gain.min() < 1.0 / _FURTHEST:
+    if gain.max() > 2.0 or gain.min() < 0.5:  # in some direction: it is dead, or in another unit
         return None
     own = np.zeros_like(difference)
     own[both] = (both_nT[:, 1] - columns @ size[:, 1]).reshape(-1, 3)
@@ -114,7 +110,8 @@ def apart(problem: Problem) -> Apart | None:
     for _ in range(2):  # with the outliers, and without
         rest = projected(_white(problem, np.ones(3), kept), difference, fitted).residual.reshape(-1, 3)
         kept = kept & (standing_out(rest, measured=kept) <= CUT_SIGMA)
-    sigma_nT = np.array([_of_steps(rest[there, axis]) for axis, there in enumerate(kept.T)])
+    # From steps from row to row: what is slow has no part in them.
+    sigma_nT = np.array([np.std(np.diff(rest[there, axis])) / np.sqrt(2.0) for axis, there in enumerate(kept.T)])
     rows = kept.all(axis=1)
     # Less noise between them is the rounding of single precision (4 pT at 50 uT).
     if not np.min(sigma_nT) > 0.01 or _is_copy(*(_steps_along(x[rows], field_B_nT[rows]) for x in (own, rest))):
@@ -127,7 +124,8 @@ def apart(problem: Problem) -> Apart | None:
 def _white(problem: Problem, sigma_nT: FloatArray, kept: BoolArray) -> Whitener:
     """White noise of each axis (3,), over the components (N, 3) that both sensors have."""
     noise = NoiseModel(1.0, 0.0, 0.0, axis_factor=(float(sigma_nT[0]), float(sigma_nT[1]), float(sigma_nT[2])))
-    return make_whitener(np.zeros((problem.rows, 3, 3)), problem.setting.seconds, problem.segment, noise, kept)
+    geometry = (np.zeros((problem.rows, 3, 3)), problem.setting.seconds, problem.segment)
+    return make_whitener(*geometry, noise, kept.astype(np.float64))
 
 
 def _steps_along(values_nT: FloatArray, field_B_nT: FloatArray) -> FloatArray:
@@ -157,8 +155,3 @@ def _has_none_of(difference: FloatArray, own: FloatArray) -> bool:
     # neighbouring steps have a row in common: their products correlate by 1/4, on either side
     error = float(np.sqrt(1.5 * (left @ left) / (len(own) * square)))
     return abs(share) < 3.0 * error < 1.0 - share
-
-
-def _of_steps(values: FloatArray) -> float:
-    """1 sigma of the noise of a series, from its steps from row to row: what is slow has no part in them."""
-    return float(np.std(np.diff(values)) / np.sqrt(2.0)) if values.size > 1 else 0.0

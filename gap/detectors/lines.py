@@ -27,10 +27,6 @@ from fluxtwin.sim.effects.signal import Setting
 from fluxtwin.sim.effects.spacecraft_field import WheelField
 from fluxtwin.sim.telemetry.record import Telemetry
 
-_FINE = 8  # grid cells a sample spacing for uneven stamps: the phase error at the highest line is 0.2 rad at most
-_LONGEST = 1 << 23  # grid cells: half a gigabyte
-_FIRST_WIDTH = 0.35  # over the span
-_RATIOS = (2.0, 3.0, 4.0, 5.0, 6.0, 0.5, 1.0 / 3.0)
 MOST_ROWS_FAST = 60_000
 """Of the stretch: its Jacobians, their whitened and orthonormal copies take about a third of a gigabyte."""
 
@@ -57,7 +53,7 @@ def strongest_line(seconds: FloatArray, left: ProjectedResidual) -> Line:
 
 def line_near(seconds: FloatArray, left: ProjectedResidual, frequency: float) -> Line:
     """The strongest line within a third of a cycle over the record of a frequency in Hz."""
-    width = _FIRST_WIDTH / float(seconds[-1] - seconds[0])
+    width = 0.35 / float(seconds[-1] - seconds[0])
     for steps in (3, 1, 1):
         tried = frequency + width * np.arange(-steps, steps + 1) / steps
         energies = [fitted(left, line_columns(seconds, f)).energy for f in tried]
@@ -87,10 +83,10 @@ def _peak(seconds: FloatArray, series: FloatArray) -> float | None:
         return None
     spacing = float(np.median(steps))
     even = bool(np.all(np.abs(steps / spacing - np.rint(steps / spacing)) < 0.02))
-    cell = spacing if even else spacing / _FINE
+    cell = spacing if even else spacing / 8  # the phase error at the highest line is 0.2 rad at most
     cells = int(np.ceil(span / cell)) + 1
     length = 1 << int(np.ceil(np.log2(2 * cells)))
-    if length > _LONGEST:
+    if length > 1 << 23:  # half a gigabyte
         return None
     grid = np.zeros((length, 3))
     np.add.at(grid, np.rint((seconds - seconds[0]) / cell).astype(int), series)
@@ -153,7 +149,8 @@ def companion(setting: Setting, left: ProjectedResidual, line: Line, effect: Eff
     if phase is None or line.worth <= THRESHOLD:
         return False
     columns = line_columns(setting.seconds, line.frequency_Hz)
-    return not all(stands_out(left, _waves(ratio * phase), columns) for ratio in _RATIOS)
+    ratios = (2.0, 3.0, 4.0, 5.0, 6.0, 0.5, 1.0 / 3.0)
+    return not all(stands_out(left, _waves(ratio * phase), columns) for ratio in ratios)
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,10 +19,6 @@ from fluxtwin.gap.selection.criterion import THRESHOLD
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.calibration import BiasRandomWalk
 
-_MODES_A_ROOT = 4.0  # times the root of the rows: beyond, a walk of three times the noise is below it
-_FEWEST, _MOST = 24, 160
-_SIZES = np.geomspace(RMS[0], RMS[1], 60)
-"""Spreads of the walk at the end of the record over the noise of a reading."""
 _KNOTS = 48
 """Increments of the walk that are looked at."""
 _COME_BACK = (8.0, 16.0)  # half periods over the record
@@ -39,7 +35,7 @@ def random_walk(seconds: FloatArray, left: ProjectedResidual, sigma_nT: float) -
     # The noise level is that of what no walk explains: a level that was declared wrong is no walk.
     variance = (left.energy - float(q @ q)) / max(left.degrees - q.size, 1)
     gram, moment = gram / variance, moment / variance
-    sizes = _SIZES * sigma_nT / np.sqrt(float(seconds[-1] - seconds[0]))
+    sizes = np.geomspace(*RMS, 60) * sigma_nT / np.sqrt(float(seconds[-1] - seconds[0]))
     rate, value = _evidence(gram, moment, sizes)
     if value <= THRESHOLD:
         return None
@@ -126,6 +122,7 @@ def modes_of_a_walk(seconds: FloatArray) -> FloatArray:
     """
     begin = float(seconds[0])
     span = float(seconds[-1]) - begin
-    count = int(np.clip(_MODES_A_ROOT * np.sqrt(seconds.size), _FEWEST, min(_MOST, max(seconds.size // 2, _FEWEST))))
+    # Beyond four times the root of the rows a walk of three times the noise is below it.
+    count = int(min(4.0 * np.sqrt(seconds.size), 160, seconds.size // 2))
     waves = np.pi * (np.arange(count) + 0.5)
     return np.asarray(np.sqrt(2.0 * span) * np.sin(waves * (seconds - begin)[:, None] / span) / waves)

@@ -26,14 +26,8 @@ from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
 
 BLOCKS = 5
 """The usual number of folds: a compromise between bias and variance (Hastie et al. 2009, section 7.10.1)."""
-GUARD_SHARE = 0.02
-"""Of the span: rows this near to the held-out block, or as near as errors of the attitude last, are used for neither."""
-STRETCHES, DRAWS = 40, 400
+DRAWS = 400
 """Of the bootstrap: its 5 % points are good to a tenth of the spread."""
-_QUANTILES = 200
-"""Of a prior, in place of an integral over it."""
-_DIFFUSE = 1e6
-"""Variance of a level of which nothing is known yet, over that of a reading."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,8 +85,9 @@ class Prediction:
         signal = max(self._mean_square(self.before_nT) - self.floor_nT**2, 0.0)
         left = min(self._mean_square(self.after_nT) - self.floor_with_effects_nT**2, signal)
         floor_sd = 2.0 * self.floor_log_sd * self.floor_with_effects_nT**2
-        sd = max(float(np.hypot(after2.std(), floor_sd)), signal / _QUANTILES, 1e-300)
-        middle = (np.arange(_QUANTILES) + 0.5) / _QUANTILES
+        count = 200  # quantiles of a prior, in place of an integral over it
+        sd = max(float(np.hypot(after2.std(), floor_sd)), signal / count, 1e-300)
+        middle = (np.arange(count) + 0.5) / count
         shares = (halfnorm.ppf(middle, scale=SHAPE_ERROR) ** 2, middle)
         named, other = (logsumexp(norm.logpdf(left, signal * share, sd)) for share in shares)
         return float(named - other)
@@ -155,7 +150,7 @@ class Prediction:
         drawn anew.
         """
         before, after, count = self.before_nT[self.counted], after_nT[self.counted], self._count
-        groups = np.array_split(np.arange(len(before)), min(STRETCHES, len(before)))
+        groups = np.array_split(np.arange(len(before)), min(40, len(before)))
         parts = (2.0 * before * after - after**2, after**2)
         sums = np.array([[*(np.sum(part[g]) for part in parts), np.sum(count[g])] for g in groups])
         rng = np.random.default_rng(len(self.before_nT))
@@ -201,7 +196,7 @@ def predict_blocks(
     known = kept.copy()
     place = np.cumsum(kept) - 1
     block = np.clip(np.floor(place * BLOCKS / max(int(kept.sum()), 1)), 0, BLOCKS - 1)
-    guard = min(SLOW_S, GUARD_SHARE * float(seconds[-1] - seconds[0]))
+    guard = min(SLOW_S, 0.02 * float(seconds[-1] - seconds[0]))
     for number in range(BLOCKS):
         held = block == number
         if not held.any():
@@ -233,7 +228,7 @@ def one_step(
     2.2), from an unknown level; its second row is the first that is predicted. axes: where some components only are
     measured, in the rows' own axes.
     """
-    left, level, P = residual_nT.copy(), np.zeros(3), _DIFFUSE * noise_nT**2 * np.eye(3)
+    left, level, P = residual_nT.copy(), np.zeros(3), 1e6 * noise_nT**2 * np.eye(3)
     unsure = []
     for row, since in enumerate(np.diff(seconds, prepend=seconds[0])):
         P = P + rate**2 * since * np.eye(3)
@@ -244,7 +239,7 @@ def one_step(
             continue
         spread = H @ P @ H.T
         mean = float(np.trace(spread)) / len(H)
-        if mean < np.sqrt(_DIFFUSE) * noise_nT**2:
+        if mean < 1e3 * noise_nT**2:
             unsure.append(mean)
         gain = np.linalg.solve(spread + noise_nT**2 * np.eye(len(H)), H @ P).T
         level = level + gain @ left[row, measured]

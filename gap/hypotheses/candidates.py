@@ -38,7 +38,6 @@ MOST_CHANGED = 0.3
 """Share of an image's energy that may change with the attitude's error."""
 SLOW_S = 300.0
 """Errors of the attitude last minutes."""
-_SEED = 12
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,7 +176,7 @@ class PerturbedDesign:
         self._latest: tuple[Effect, Sequence[Active], FloatArray] | None = None
         if not any(size > 0 for size, _ in parts) or not isinstance(motion, RecordedMotion):
             return
-        rng = np.random.default_rng(_SEED)
+        rng = np.random.default_rng(12)
         perturbed = motion.with_errors(
             lambda time: np.sum([gauss_markov(time, size, tau_s, rng, columns=3) for size, tau_s in parts], axis=0)
         )
@@ -229,7 +228,7 @@ class PerturbedDesign:
 
 def _step(effect: Effect) -> FloatArray:
     """(p,) all parameters by their typical size, with signs that are drawn once."""
-    signs = np.random.default_rng(_SEED).choice([-1.0, 1.0], len(effect.parameters))
+    signs = np.random.default_rng(12).choice([-1.0, 1.0], len(effect.parameters))
     return np.asarray(signs * [parameter.scale for parameter in effect.parameters])
 
 

@@ -31,10 +31,6 @@ from fluxtwin.sim.effects.chain import Active
 from fluxtwin.sim.effects.drivers import orbital_period_s
 from fluxtwin.sim.effects.law import Law as LawEffect
 
-LEAST_CLOSED = 0.5
-"""Of what is left, on held-out samples: a law that leaves more than it explains is none."""
-_SHOWN = 4000
-
 
 @dataclass(frozen=True)
 class Weighed:
@@ -189,7 +185,7 @@ class _Search:
             if worth(gain / wider, more, samples, float(np.log(len(PARTS)))) > THRESHOLD + LOG_FURTHER:
                 why = "differ from one part of the record to the next"
                 return Lawful(self._none(whitener, f"the coefficients of the best one ({best}) {why}"))
-        if gap.closed is None or gap.closed < LEAST_CLOSED:
+        if gap.closed is None or gap.closed < 0.5:  # one that leaves more than it explains is none
             return Lawful(self._none(whitener, f"the best one ({best}) {words.too_little(gap)}"))
         rest = residual_structure(problem, whitener, residual_nT, columns_nT)
         return Lawful(
@@ -277,7 +273,7 @@ class _Search:
 
     def _series(self, terms: Sequence[Active], residual_nT: FloatArray) -> tuple[LawSeries, ...]:
         """Each term against the residual without it, along its own direction."""
-        found, every = [], max(1, self.problem.rows // _SHOWN)
+        found, every = [], max(1, self.problem.rows // 4000)
         for law, theta in terms:
             assert isinstance(law, LawEffect)
             size = float(np.linalg.norm(theta))

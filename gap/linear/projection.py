@@ -17,9 +17,6 @@ SHARE_LEFT = 1e-6
 """Of its energy that a column, or a combination of columns, must have left after projection to count as a direction."""
 SHARE_PICKED = 1e-8
 """The same beside columns that were picked before it, in `span_of`."""
-_MARGIN = 50.0
-_LARGEST_SHARE = 0.05
-_TOGETHER = 1024  # rows whose products are made at once: they stay in the cache of a core
 
 
 class Whitens(Protocol):
@@ -90,14 +87,9 @@ def orthonormal(columns: FloatArray) -> FloatArray:
 
 def projected_out(basis: FloatArray, columns: FloatArray) -> FloatArray:
     """Columns (M, k) or (M,) with an orthonormal basis (M, q) out of them to rounding, which takes two passes."""
-    left = np.empty(columns.shape)
     for _ in range(2):
-        along = basis.T @ columns
-        for first in range(0, len(columns), _TOGETHER):
-            rows = slice(first, first + _TOGETHER)
-            np.subtract(columns[rows], basis[rows] @ along, out=left[rows])
-        columns = left
-    return left
+        columns = columns - basis @ (basis.T @ columns)
+    return columns
 
 
 def explained(gram: FloatArray, moment: FloatArray, least: float) -> tuple[float, int]:
@@ -149,7 +141,7 @@ def share_of_errors(theta_rad: float | None, least: float) -> float:
     share of theta**2 of it, what is left is that error, which the residual has too: such directions are passed over.
     The factor covers errors that smoothing leaves in many rows.
     """
-    return least if theta_rad is None else float(np.clip(_MARGIN * theta_rad**2, least, _LARGEST_SHARE))
+    return least if theta_rad is None else float(np.clip(50.0 * theta_rad**2, least, 0.05))
 
 
 @dataclass(frozen=True, eq=False)

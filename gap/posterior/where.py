@@ -42,7 +42,7 @@ from fluxtwin.gap.hypotheses.candidates import Candidate
 from fluxtwin.gap.linear.projection import SHARE_LEFT, ProjectedResidual, Whitens, projected, share_mimicked
 from fluxtwin.gap.problem.problem import Problem
 from fluxtwin.gap.records.diagnosis import Place
-from fluxtwin.gap.selection.criterion import SHAPE_ERROR, THRESHOLD, TWENTY_TO_ONE, penalty
+from fluxtwin.gap.selection.criterion import LOG_FURTHER, SHAPE_ERROR, THRESHOLD, penalty
 from fluxtwin.gap.selection.score import ALIKE
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.effects.base import STAGES as ALL_STAGES
@@ -371,7 +371,7 @@ def _equivalent(
     own = [value if one.stage == stage else -1.0 for one, value in zip(hypotheses, weight, strict=True)]
     best = hypotheses[int(np.argmax(own))]
     if best.fit is None:
-        near = max(one.worth for one in hypotheses if one.stage == stage) - TWENTY_TO_ONE
+        near = max(one.worth for one in hypotheses if one.stage == stage) - LOG_FURTHER
         same = {one.stage for one in hypotheses if one.worth >= near} - {stage}
         return tuple(name for name in ALL_STAGES if name in same)
     same = set(best.fit.block.stages) - {stage}

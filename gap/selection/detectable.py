@@ -31,8 +31,6 @@ from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.effects.base import Parameter
 
 MISS = 0.10
-_ABSURD = 1000.0  # times the typical size: no flight would show it
-_DROPS = np.geomspace(4.0, 4e4, 500)
 _KNOWN = 1e6
 """Degrees of freedom of a noise that is known."""
 _AT, _WEIGHTS = (each / by for each, by in zip(hermegauss(9), (1.0, np.sqrt(2.0 * np.pi)), strict=True))
@@ -55,7 +53,7 @@ class Rule:
     @cached_property
     def least_drop(self) -> float:
         """D from which on a cause is named."""
-        drops = _DROPS
+        drops = np.geomspace(4.0, 4e4, 500)
         for _ in range(2):  # the second time between two neighbours
             missed = np.flatnonzero(~self._named(drops))
             last = int(missed[-1]) if missed.size else 0
@@ -204,6 +202,6 @@ def _reason(best: Smallest | None) -> str | None:
     if best is None:
         return "on this orbit and attitude the re-estimated calibration can imitate it completely"
     one, size = best.parameter, best.value
-    if best.relative > _ABSURD or size > max(abs(one.low), abs(one.high)):
+    if best.relative > 1000.0 or size > max(abs(one.low), abs(one.high)):
         return f"only {one.name} above {size:.3g} {one.unit} would show, which is beyond what is physical"
     return None

@@ -31,7 +31,6 @@ NONLINEAR = 0.2
 """A candidate is refitted if its linear score comes within the first, or this share, of the best: so much of a drop may be
 lost by taking a large effect as linear (8 % of a clock 10 s late, whose linear image is made of an attitude with errors of
 its own). Generous, because what it costs is at most four refits."""
-_REFITS = 4
 _ALIKE = 1  # decimals of a cost: where causes are alike to rounding, that of the catalogue's order comes first
 RATIOS = (1.5, 1.25, 1.12)
 """By which a setting is moved to either side, between the few values of it that were tried."""
@@ -221,8 +220,8 @@ def _shortlist(search: Search[Any], scored: Board) -> list[int]:
 
 
 def room_for(name: str, refitted: Sequence[str]) -> bool:
-    """Whether one more of that name is refitted: at most two alternatives each, of a few effects."""
-    return refitted.count(name) < 2 and len({name, *refitted}) <= _REFITS
+    """Whether one more of that name is refitted: at most two alternatives each, of four effects."""
+    return refitted.count(name) < 2 and len({name, *refitted}) <= 4
 
 
 def _best(search: Search[Any], sets: Sequence[Sequence[int]], scored: Board) -> Fit:

@@ -25,11 +25,7 @@ from fluxtwin.sim.effects.base import Effect, SignalEffect
 from fluxtwin.sim.effects.chain import Active
 from fluxtwin.sim.effects.signal import Setting
 
-OWN_AXIS = 0.8
-"""Share of the energy from which on an effect is of one axis: a judgement, for words alone."""
 WORTH_SAYING = 0.001  # of a rival: a less likely one is neither stated nor tried on other designs
-_OF_ERRORS = 1e-3
-"""Of the energy of an image: less would cost a cause that explains a drop of a thousand one unit of it."""
 
 
 class Support(NamedTuple):
@@ -82,11 +78,12 @@ def parameters_of(effect: Effect, theta: FloatArray, sigma: FloatArray, setting:
 
 
 def axis_of(energy: FloatArray) -> str | None:
-    """The axis that has most of an energy (3,), "all" where none has; None where the data do not separate the axes."""
+    """The axis that has four fifths of an energy (3,), "all" where none has (a judgement, for words); None where the data
+    do not separate the axes."""
     if not np.isfinite(energy).all():
         return None
     axis = int(np.argmax(energy))
-    return "xyz"[axis] if energy[axis] >= OWN_AXIS * max(float(energy.sum()), 1e-300) else "all"
+    return "xyz"[axis] if energy[axis] >= 0.8 * max(float(energy.sum()), 1e-300) else "all"
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,7 +171,8 @@ def _scores(
     attitudes, also how much of it is their errors."""
     lost: dict[str, float] = {}
     for candidate in first.candidates:
-        if len(candidate.scale) == 1 and candidate.change > _OF_ERRORS:
+        # Less would cost a cause that explains a drop of a thousand one unit of it.
+        if len(candidate.scale) == 1 and candidate.change > 1e-3:
             size = candidate.scale
             drop = _chi_square_lost(under_way, (candidate.effect, size), under_way.base.jacobian)
             lost[candidate.label] = drop / float(size[0]) ** 2

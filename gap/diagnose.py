@@ -33,7 +33,7 @@ from fluxtwin.gap.records.diagnosis import Detectable, Diagnosis, Place
 from fluxtwin.gap.report import input_warnings, verdict, words
 from fluxtwin.gap.report.verdict import Work
 from fluxtwin.gap.selection.criterion import FEWEST, THRESHOLD
-from fluxtwin.gap.selection.detectable import Hiding, detectable
+from fluxtwin.gap.selection.detectable import detectable
 from fluxtwin.gap.selection.refit import Readings, refit, settled
 from fluxtwin.sim.base.errors import NoAnswer
 from fluxtwin.sim.base.progress import Progress, silent
@@ -140,7 +140,7 @@ def _with_law(work: Work, found: Diagnosis, progress: Progress) -> Diagnosis:
     if not (open_ or exact) or in_torques or found.closure is None:
         return found
     law = law_of(work.problem, work.answer, work.in_readings if found.verdict == "effect" else [], progress)
-    if not open_ and not law.terms:
+    if not open_ and not law.record.terms:
         return found
     assumed = words.assumed(found.assumed)
     said = beside_names(found.sentence.removesuffix(assumed).rstrip(), law.record)
@@ -268,21 +268,22 @@ def _beside_the_names(problem: Problem, answer: Answer) -> Problem:
 def _minimum_detectable(problem: Problem, answer: Answer) -> dict[str, Detectable]:
     """The smallest size of each effect that would have been named, by what the record says of its noise."""
     result, robust = answer.result, answer.robust
+    if not result.smallest:
+        return {}
     walk = next((float(one.theta[0]) for one in answer.shapes if one.name == "bias_random_walk"), 0.0)
     rate = walk / answer.noise.sigma_nT
     likely = likely_noises(problem, answer.whitener, result.residual_nT, answer.fitted_nT, rate)
-    noises = [Hiding(answer.whitener, 0.0, 0.0)]
+    noises = [(answer.whitener, 0.0, 0.0)]
     for one in likely:
         own = whitener_of(problem, one.noise, robust.weights)
         whitener = with_walk(own, rate * one.noise.sigma_nT) if walk else own
-        noises.append(Hiding(whitener, one.probability, one.cost))
+        noises.append((whitener, one.probability, one.cost))
     images, seen = [], {}
     for name, least in result.smallest.items():
         owner = result.candidates[least.owner]
         images.append(owner.jacobian[:, :, least.place])
         seen[name] = least._replace(parameter=owner.effect.parameters_on(problem.setting)[least.place])
-    every = np.stack(images, axis=-1) if images else np.zeros((problem.rows, 3, 0))
-    return detectable(seen, every, without_names(problem, answer), noises)
+    return detectable(seen, np.stack(images, axis=-1), without_names(problem, answer), noises)
 
 
 def _about_the_whitened_fit(problem: Problem) -> Problem:
@@ -365,10 +366,7 @@ def _require_rows(problem: Problem) -> None:
 
 
 def _place(
-    problem: Problem,
-    answer: Answer,
-    dictionary: Dictionary,
-    other: tuple[ProjectedResidual, Sequence[BlockFit]] | None,
+    problem: Problem, answer: Answer, dictionary: Dictionary, other: tuple[ProjectedResidual, Sequence[BlockFit]] | None
 ) -> Place:
     """Of the whole gap where it is explained, of the rest where structure remains that is not."""
     result, whitener = answer.result, answer.whitener
@@ -396,14 +394,15 @@ def _prediction(
     pairs = ((result.residual_alone_nT, answer.alone_nT), (result.residual_nT, both))
     alone, whole = (Fitted.of(problem, answer.whitener, *pair) for pair in pairs)
     held = predict_blocks(seconds, kept, with_effects_nT, alone, whole, problem.measured)
-    after, of, unsure_nT = held.after_nT, held.of, held.unsure_nT[1]
-    walk = next((one for one in flexible if one.name == "bias_random_walk"), None)
-    if walk is not None:
-        of, rate = "one_step", float(walk.theta[0])
-        after, unsure_nT = one_step(whole.residual_nT, seconds, kept, rate, with_effects_nT, axes)
     log_sd = _floor_log_sd(problem, noise, min((white_nT / with_effects_nT) ** 2, 1.0))
-    before_nT, after_nT = float(np.hypot(floor_nT, held.unsure_nT[0])), float(np.hypot(with_effects_nT, unsure_nT))
-    return Prediction(held.before_nT, after, held.counted, before_nT, after_nT, of, axes, log_sd, held.unsure_nT[0])
+    before_nT, after_nT = np.hypot([floor_nT, with_effects_nT], held.unsure_nT).tolist()
+    held = replace(held, floor_nT=before_nT, floor_with_effects_nT=after_nT, axes=axes, floor_log_sd=log_sd)
+    walk = next((one for one in flexible if one.name == "bias_random_walk"), None)
+    if walk is None:
+        return held
+    after, unsure_nT = one_step(whole.residual_nT, seconds, kept, float(walk.theta[0]), with_effects_nT, axes)
+    floor_nT = float(np.hypot(with_effects_nT, unsure_nT))
+    return replace(held, after_nT=after, floor_with_effects_nT=floor_nT, of="one_step")
 
 
 def _floor_log_sd(problem: Problem, noise: NoiseModel, white: float) -> float:

@@ -558,10 +558,9 @@ def _by_readings_km(result: SearchResult, whitener: Whitener, place: int) -> tup
     effect, theta = result.chosen[place]
     if effect.name == _AHEAD:
         return float(theta[0]), float(result.named[place].sigma[0])
-    image = next(c.jacobian for c in result.candidates if c.name == _AHEAD)
-    first = sum(len(each) for _, each in (*result.modelled, *result.chosen[:place]))
-    own = slice(first, first + len(theta))
-    target = result.residual_white + result.jacobian_white[:, :, own] @ theta
-    rest = np.delete(result.jacobian_white, np.r_[own], axis=2)
+    image, fit = next(c.jacobian for c in result.candidates if c.name == _AHEAD), result.fit
+    own = next(part for part, (one, _) in zip(fit.slices(), fit.chosen, strict=True) if one is effect)
+    target = fit.residual + fit.jacobian[:, :, own] @ theta
+    rest = np.delete(fit.jacobian, np.r_[own], axis=2)
     value, sigma = solved(np.concatenate([rest, whitener.apply(image)], axis=2), target)
     return float(value[-1]), float(sigma[-1])

@@ -43,7 +43,6 @@ from fluxtwin.sim.effects.chain import Active
 from fluxtwin.sim.effects.clock_and_orbit import AlongTrackError
 from fluxtwin.sim.telemetry.record import Telemetry
 
-_MOST_ROWS = 100_000
 _STEP_RAD = 1e-5
 
 Key = tuple[str, int | None]
@@ -253,8 +252,8 @@ def open_channel(telemetry: Telemetry, *, fewest: int = 8) -> Channel:
     for fewer than `fewest` passes with both.
     """
     rows = sun_and_nadir(telemetry)
-    if rows.size > _MOST_ROWS:
-        rows = rows[np.linspace(0, rows.size - 1, _MOST_ROWS).astype(int)]
+    if rows.size > 100_000:
+        rows = rows[np.linspace(0, rows.size - 1, 100_000).astype(int)]
     of_row = make_blocks(telemetry.time[rows], 150.0) if rows.size else np.zeros(0, dtype=int)
     count = int(of_row.max()) + 1 if rows.size else 0
     if count < fewest:

@@ -19,14 +19,13 @@ from fluxtwin.gap.selection.criterion import THRESHOLD
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.calibration import BiasRandomWalk
 
-_KNOTS = 48
-"""Increments of the walk that are looked at."""
 _COME_BACK = (8.0, 16.0)  # half periods over the record
 
 
 def random_walk(seconds: FloatArray, left: ProjectedResidual, sigma_nT: float) -> Finding | None:
     """A walk in a whitened residual; None where there is nothing slow at all. sigma_nT: the noise unit."""
-    if seconds.size < 2 * _KNOTS:
+    knots = 48  # increments of the walk that are looked at
+    if seconds.size < 2 * knots:
         return None
     shapes = modes_of_a_walk(seconds)
     columns, _ = left.project(in_body(shapes))
@@ -44,7 +43,7 @@ def random_walk(seconds: FloatArray, left: ProjectedResidual, sigma_nT: float) -
         for k in _COME_BACK
         if _evidence(*_returning(gram, moment, k), sizes)[1] > value - THRESHOLD
     ]
-    at = np.linspace(0, seconds.size - 1, _KNOTS + 1).astype(int)
+    at = np.linspace(0, seconds.size - 1, knots + 1).astype(int)
     if _one_stands_out(gram, moment, rate, np.diff(shapes[at], axis=0)):
         faults.append("one of its steps stands out")
     if jumps(seconds, left, rate, float(variance)):

@@ -34,7 +34,6 @@ from fluxtwin.sim.effects.signal import Setting
 from fluxtwin.sim.effects.switched_field import HeaterSwitching, SwitchedField
 
 _FEWEST_ROWS = 20
-_EDGES = 4  # of a box, estimated with the field
 
 Box = tuple[float, float, float, float]
 _ROUNDS = 8
@@ -73,8 +72,8 @@ def switched_region(problem: Problem, left: ProjectedResidual, rivals: Sequence[
     condition, box = best
     effect = SwitchedField(condition, region_deg=box)
     images = problem.derivatives([(effect, np.zeros(3))])
-    found = fitted(left, images, _EDGES)
-    value = found.worth(float(np.log(len(search.known))), _EDGES)
+    found = fitted(left, images, 4)  # the edges are estimated with the field
+    value = found.worth(float(np.log(len(search.known))), 4)
     if value <= THRESHOLD:
         return None
     faults = does_as_well(value, found, rivals)

@@ -10,7 +10,6 @@ record, the figures are those of the fit itself, and say so. A random walk is pr
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 from scipy.special import logsumexp
@@ -45,7 +44,7 @@ class Fitted:
     def of(cls, problem: Problem, whitener: Whitens, residual_nT: FloatArray, columns_nT: FloatArray) -> Fitted:
         """From a residual (N, 3) and what is fitted (N, 3, P), both in body axes."""
         plain = (problem.in_row_axes(residual_nT), problem.in_row_axes(columns_nT))
-        return cls(*plain, whitener.apply(residual_nT), whitener.apply(columns_nT) if columns_nT.size else columns_nT)
+        return cls(*plain, whitener.apply(residual_nT), whitener.apply(columns_nT))
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,8 +67,8 @@ class Prediction:
     """Where rows have no attitude: what is seen along the field counts for each body axis by its share in it."""
     floor_log_sd: float = 0.0
     """Standard deviation of the logarithm of what is expected."""
-    unsure_nT: float = 0.0
-    """rms of the error of the prediction without effects."""
+    unsure_nT: tuple[float, float] = (0.0, 0.0)
+    """rms per component of the errors of the predictions, which stand in these residuals beside the noise."""
 
     @property
     def log_ratio(self) -> float:
@@ -168,25 +167,11 @@ class Prediction:
         return [float(value) for value in np.sqrt(energy / np.maximum(share.sum(axis=(0, 1)), 1e-300))]
 
 
-class Held(NamedTuple):
-    """Residuals where each block is predicted from the others."""
-
-    before_nT: FloatArray
-    """(N, 3)."""
-    after_nT: FloatArray
-    """(N, 3)."""
-    counted: BoolArray
-    """(N,) rows that are kept and could be predicted."""
-    of: str
-    """`blocks`; or `fit`, where one part of the record does not determine another: the residuals of the fit itself."""
-    unsure_nT: tuple[float, float]
-    """rms per component of the errors of the predictions, which stand in these residuals beside the noise."""
-
-
 def predict_blocks(
     seconds: FloatArray, kept: BoolArray, noise_nT: float, before: Fitted, after: Fitted, measured: BoolArray
-) -> Held:
-    """Each block predicted from the others, before and after.
+) -> Prediction:
+    """Each block predicted from the others, before and after; where one part of the record does not determine another, the
+    residuals of the fit itself.
 
     seconds, kept: (N,) time and rows that are not cut. noise_nT: rms per component of noise and attitude error. measured:
     (N, 3) components that count.
@@ -199,8 +184,6 @@ def predict_blocks(
     guard = min(SLOW_S, 0.02 * float(seconds[-1] - seconds[0]))
     for number in range(BLOCKS):
         held = block == number
-        if not held.any():
-            continue
         start, end = seconds[held].min() - guard, seconds[held].max() + guard
         train = kept & ~((seconds >= start) & (seconds <= end))
         for of, (fit, residual_nT) in enumerate(zip((before, after), predicted, strict=True)):
@@ -209,9 +192,10 @@ def predict_blocks(
             variance[of, held] = np.sum((fit.columns_nT[held] @ root) ** 2, axis=(1, 2))
         known[held] &= float(np.mean(variance[1, held]) / 3.0) < noise_nT**2
     if 2 * known.sum() < kept.sum():
-        return Held(before.residual_nT, after.residual_nT, kept, "fit", (0.0, 0.0))
+        return Prediction(before.residual_nT, after.residual_nT, kept, noise_nT, noise_nT, "fit")
     unsure_nT = np.sqrt(variance[:, known].sum(axis=1) / measured[known].sum())
-    return Held(*predicted, known, "blocks", (float(unsure_nT[0]), float(unsure_nT[1])))
+    of_both = (float(unsure_nT[0]), float(unsure_nT[1]))
+    return Prediction(*predicted, known, noise_nT, noise_nT, unsure_nT=of_both)
 
 
 def one_step(

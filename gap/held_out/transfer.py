@@ -254,7 +254,7 @@ class _Design:
         images = turn_images(field, closure.problem.sensor_image)
         self.whitener: Whitener = make_whitener(images, target.setting.seconds, target.segment, noise)
         self.nuisance = jacobians(self.chain, closure.modelled, [*closure.problem.frozen, *chosen])
-        self.nuisance_white = self.whitener.apply(self.nuisance) if closure.modelled else self.nuisance
+        self.nuisance_white = self.whitener.apply(self.nuisance)
         self.basis = orthonormal(self.nuisance_white)
         self.floor_nT = floor_rms_nT(field, noise.white_rms_nT, noise.theta_rad, roll=noise.roll)
 

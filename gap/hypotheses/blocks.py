@@ -61,7 +61,7 @@ class Condition:
 
 
 def conditions(setting: Setting) -> tuple[Condition, ...]:
-    """Every condition that varies on this design, but regions (`regions`) and steps (`after`)."""
+    """Every condition that varies on this design, but regions (`regions`) and steps (`step_block`)."""
     every = (*_lighting(setting), *_orbital(setting), *_housekeeping(setting))
     return tuple(condition for condition in every if _varies(condition))
 
@@ -69,11 +69,6 @@ def conditions(setting: Setting) -> tuple[Condition, ...]:
 def always(setting: Setting) -> Condition:
     """The condition that always holds."""
     return Condition(None, "always", np.ones((setting.time.size, 1)), indicator=True)
-
-
-def after(setting: Setting, seconds: float) -> Condition:
-    """From a moment on, in seconds from the first stamp."""
-    return Condition("after_time", "after a moment", (setting.seconds >= seconds)[:, None].astype(float), True)
 
 
 def regions(setting: Setting) -> tuple[Condition, ...]:
@@ -303,8 +298,8 @@ def steady(perturbed: PerturbedDesign, found: Iterable[Condition]) -> list[Condi
 
 def step_block(problem: Problem, step_s: float) -> Block:
     """A field in body axes that sets in at a moment, in seconds from the first stamp."""
-    c = after(problem.setting, step_s)
-    return Block(_BODY_STAGES["after_time"], c.name, "body", c.label, "xyz", partial(in_body, c.columns))
+    on = (problem.setting.seconds >= step_s).astype(float)
+    return Block(_BODY_STAGES["after_time"], "after_time", "body", "after a moment", "xyz", partial(in_body, on))
 
 
 _BODY_STAGES: Mapping[str | None, Mapping[str, float]] = {

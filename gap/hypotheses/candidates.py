@@ -139,11 +139,7 @@ def settings_of(effect: Effect) -> dict[str, object]:
 
 
 def _candidate(
-    chain: Chain,
-    effect: SignalEffect,
-    on: Sequence[Active],
-    perturbed: PerturbedDesign,
-    seen: dict[Effect, FloatArray],
+    chain: Chain, effect: SignalEffect, on: Sequence[Active], perturbed: PerturbedDesign, seen: dict[Effect, FloatArray]
 ) -> Candidate:
     """seen: images of effects that others modulate, made so far; more are added."""
     whole, share = effect.modulates(chain.setting) or (effect, np.ones((1, 1)))

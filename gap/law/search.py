@@ -36,8 +36,6 @@ AXES: tuple[Axes, ...] = get_args(Axes)
 _PARTS = max(PARTS)
 """Of a record, at whose ends something that follows a column may go on or off: the times are then searched between them."""
 _QUARTER = {"cos": "sin", "sin": "cos", "cos2": "sin2", "sin2": "cos2"}
-_BEAM = 8
-"""Of the pool, whose delays and frames are looked at: the right pair undelayed is seldom the best, but among the first."""
 
 
 Terms = tuple[Law, ...]
@@ -279,14 +277,15 @@ class Regression:
         return [known[terms] for terms in found if known[terms].rank]
 
     def best(self, left: ProjectedResidual, beside: Sequence[Law] = ()) -> list[Trial]:
-        """The best few of the pool with their settings moved, best first."""
+        """The best few of the pool with their settings moved, best first: the right pair undelayed is seldom the best, but
+        among the first."""
         self._count(self.terms)
         pairs = zip(self.terms, self.pool.fits(left), strict=True)
         found = [Trial(terms, one, *one.explained()) for terms, one in pairs if terms[0] not in beside]
-        few = sorted((one for one in found if one.rank), key=lambda one: -self.order(one, left))[: 4 * _BEAM]
+        few = sorted((one for one in found if one.rank), key=lambda one: -self.order(one, left))[:32]
         kept: list[Trial] = []
         for one in few:  # several settings of the same factors are one place in the beam
-            if len(kept) < _BEAM and all(set(one.law.quantities()) != set(k.law.quantities()) for k in kept):
+            if len(kept) < 8 and all(set(one.law.quantities()) != set(k.law.quantities()) for k in kept):
                 kept.append(one)
         every = [*(self.moved(one, left) for one in kept), *few]
         wider = 1.0 + SHAPE * max((one.drop for one in every), default=0.0)

@@ -109,7 +109,7 @@ def explained_in_units(gram: FloatArray, moment: FloatArray) -> tuple[float, int
 
 def log10_sf_f(ratio: float, rank: float, spare: float) -> float:
     """log10 of the upper tail of the F law, also where it underflows."""
-    p = float(fdtrc(rank, spare, ratio)) if ratio > 0 else 1.0
+    p = float(fdtrc(rank, spare, ratio))
     if p > 1e-280:
         return float(np.log10(p))
     # Leading term of the tail: I_x(spare/2, rank/2) with x -> 0 (Abramowitz & Stegun 26.5.4).
@@ -117,15 +117,6 @@ def log10_sf_f(ratio: float, rank: float, spare: float) -> float:
     a, b = spare / 2, rank / 2
     log_beta = float(stats.beta.logpdf(0.5, a, b)) - (a + b - 2) * np.log(0.5)
     return float((a * np.log(x) + (b - 1) * np.log1p(-x) + log_beta - np.log(a)) / np.log(10))
-
-
-def share_mimicked(one: FloatArray, other: FloatArray) -> float:
-    """Share of the energy of columns (M, k) that the span of others (M, l) can make."""
-    total = float(np.sum(one**2))
-    if total == 0 or not other.shape[1]:
-        return 0.0
-    basis = orthonormal(other)
-    return float(np.sum((basis.T @ one) ** 2)) / total
 
 
 def least_share(whitener: object) -> float:

@@ -214,13 +214,7 @@ class Likely(NamedTuple):
 class Likelihood:
     """The restricted likelihood of one set of data, as a function of the noise model."""
 
-    def __init__(
-        self,
-        data: Data,
-        prior: NoisePrior,
-        like: NoiseModel = _EVEN,
-        walk: float = 0.0,
-    ) -> None:
+    def __init__(self, data: Data, prior: NoisePrior, like: NoiseModel = _EVEN, walk: float = 0.0) -> None:
         """like: how the axes differ, in noise and in attitude error; walk: rate of a bias that walks, over sigma
         [1/sqrt(s)]."""
         self.data, self.prior, self.like, self.walk = data, prior, like, walk
@@ -444,11 +438,7 @@ def noise_beside(problem: Problem, active: Sequence[Active]) -> NoiseChoice:
 
 
 def likely_noises(
-    problem: Problem,
-    whitener: Whitener,
-    residual_nT: FloatArray,
-    columns: FloatArray,
-    walk: float = 0.0,
+    problem: Problem, whitener: Whitener, residual_nT: FloatArray, columns: FloatArray, walk: float = 0.0
 ) -> list[Likely]:
     """Noise models all over what a residual (N, 3) with these columns (N, 3, C) fitted and the budget allow.
 

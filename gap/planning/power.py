@@ -60,12 +60,11 @@ class Cause:
 
 @dataclass(frozen=True, eq=False)
 class Placed:
-    """Structure that nothing in the catalogue explains: what it follows, in which axes it may be steady, and how large."""
+    """Structure that nothing in the catalogue explains: what it follows, and how large it is."""
 
     condition: str | None
-    frames: tuple[str, ...]
     sizes: dict[str, FloatArray]
-    """By frame (k,): of each column of it, by itself, nT."""
+    """By frame in which it may be steady (k,): of each column of it, by itself, nT."""
 
 
 class Flown:
@@ -76,7 +75,7 @@ class Flown:
         self.whitener: Whitener = whitener_of(problem, noise, None)
         self.found, self.untestable = candidates(problem)
         self._white = whitened(self.found, self.whitener, problem.rows)
-        self._nuisance = self.whitener.apply(problem.nuisance) if problem.modelled else problem.nuisance
+        self._nuisance = self.whitener.apply(problem.nuisance)
         self._in_frames: dict[str | None, dict[str, FloatArray]] = {}
         self._shown: dict[int, dict[str, float]] = {}
         self._signals: dict[Cause, tuple[list[Candidate], FloatArray, FloatArray]] = {}
@@ -174,7 +173,7 @@ class Flown:
             size = place.sizes[frame][number]
             column = images[frame][:rows, :, number : number + 1] * size
             left = []
-            for other in place.frames:
+            for other in place.sizes:
                 if other != frame:
                     beside = orthonormal(np.concatenate([nuisance, images[other][:rows]], axis=2))
                     flat = column.reshape(-1)
@@ -196,7 +195,7 @@ class Flown:
             seen = np.sum((flat - basis @ (basis.T @ flat)) ** 2, axis=0)
             live = seen > 0.01 * np.sum(flat**2, axis=0)
             sizes[frame] = np.where(live, np.sqrt(energy / np.where(live, seen, 1.0)), 0.0)
-        return Placed(condition, tuple(frames), sizes)
+        return Placed(condition, sizes)
 
     def _images(self, condition: str | None) -> dict[str, FloatArray]:
         """{frame: (M, 3, k) whitened} of a field that follows a condition; none where this design has it not."""

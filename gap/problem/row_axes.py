@@ -12,7 +12,6 @@ row has an attitude, a calibration of |B| says where to start.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -60,17 +59,10 @@ class RowAxes:
 
     def in_row_axes(self, columns: FloatArray) -> FloatArray:
         """Columns (N, 3) or (N, 3, P) in body axes, turned into the rows' own axes, zero where not measured."""
-        here, turn, measured = self._without_attitude
-        turned = np.array(columns, dtype=np.float64)
-        part = np.matmul(turn, turned[here].reshape(here.size, 3, -1)) * measured
+        turned, here = np.array(columns, dtype=np.float64), np.flatnonzero(~self.known)
+        part = np.matmul(self.turn[here], turned[here].reshape(here.size, 3, -1)) * self.measured[here, :, None]
         turned[here] = part.reshape(here.size, *turned.shape[1:])
         return turned
-
-    @cached_property
-    def _without_attitude(self) -> tuple[np.ndarray, FloatArray, FloatArray]:
-        """Numbers of the M rows without a reference attitude, their turns (M, 3, 3) and what is measured (M, 3, 1)."""
-        here = np.flatnonzero(~self.known)
-        return here, self.turn[here], self.measured[here, :, None].astype(np.float64)
 
     def in_body(self, rows_own: FloatArray) -> FloatArray:
         """(N, 3) vectors in the rows' own axes, back in body axes."""

@@ -243,7 +243,7 @@ def _sentence(work: Work, found: _Conclusion, where: Place, gap: Shrinkage, rese
         return work.angle.said(others, gap.before_nT)
     if found.verdict == "no_gap":
         # What is said is the residual of the fit, which has no error of a prediction.
-        fit = replace(gap, floor_nT=(gap.floor_nT**2 - work.prediction.unsure_nT**2) ** 0.5)
+        fit = replace(gap, floor_nT=(gap.floor_nT**2 - work.prediction.unsure_nT[0] ** 2) ** 0.5)
         return words.no_gap(fit, work.attitude_would_do_rad) + _differ(work)
     if found.verdict == "unknown":
         what = _what(work, where) if found.beyond is None else found.beyond.words

@@ -304,11 +304,6 @@ def thinned(every: int, most_rows: int) -> str:
     )
 
 
-def hours_needed(found: Detectable, wanted: float, hours: float) -> float:
-    """Hours of like data after which a size `wanted` shows, when `hours` of them show `found`."""
-    return hours * (found.value / abs(wanted)) ** 2
-
-
 def typical_size(name: str, parameter: str) -> float | None:
     """The typical size of a parameter in the catalogue, None for what is not there."""
     known = (p for effect in CATALOGUE if effect.name == name for p in effect.parameters if p.name == parameter)
@@ -327,7 +322,7 @@ def would_settle(detectable: Mapping[str, Detectable], untestable: Mapping[str, 
         if wanted is None or found.value <= abs(wanted):
             continue
         unit = "" if found.unit == "1" else f" {found.unit}"
-        needed = hours_needed(found, wanted, hours)
+        needed = hours * (found.value / wanted) ** 2
         data = "more than two weeks of such data"
         if needed <= 24.0 * 14:
             data = f"about {_plain(needed)} h of such data instead of {_plain(hours)} h"
@@ -342,6 +337,4 @@ def _plain(value: float) -> str:
 
 def hours_of(time: TimeArray) -> float:
     """Hours of data that rows at these times (N,) cover, gaps left out."""
-    if time.size < 2:
-        return 0.0
     return float(np.median(np.diff(time)) / np.timedelta64(1, "s")) * time.size / 3600.0

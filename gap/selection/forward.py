@@ -115,10 +115,7 @@ class Search(Generic[OfChannel]):
             self.fits[frozenset(self.found[number].label for number in self.numbers(fit))] = fit
 
     def numbers(self, fit: Fit) -> list[int]:
-        return [
-            next(n for n, c in enumerate(self.found) if c.effect is effect or c.effect == effect)
-            for effect, _ in fit.chosen
-        ]
+        return [next(n for n, c in enumerate(self.found) if c.effect == effect) for effect, _ in fit.chosen]
 
 
 def begin(channel: OfChannel, found: list[Candidate], tested_before: int = 0) -> Search[OfChannel]:
@@ -146,7 +143,9 @@ def run(search: Search[Any]) -> list[tuple[Fit, Board]]:
     proposed = [effect for effect in search.channel.proposed(search.base) if effect.name in names]
     if proposed:
         search.add(proposed)
-    fit = _best(search, [[number] for number in _shortlist(search, search.first)], search.first)
+    # Started from the linear estimates at zero.
+    fits = [search.fit([number], search.first.estimate([number])) for number in _shortlist(search, search.first)]
+    fit = min(fits, key=lambda one: round(search.cost(one, search.first.variance), _ALIKE))
     fit, rest = _sharper(search, fit)
     path.append((fit, rest))
     while len(fit.chosen) < LARGEST and (larger := _grown(search, fit, rest)) is not None:
@@ -224,12 +223,6 @@ def room_for(name: str, refitted: Sequence[str]) -> bool:
     return refitted.count(name) < 2 and len({name, *refitted}) <= 4
 
 
-def _best(search: Search[Any], sets: Sequence[Sequence[int]], scored: Board) -> Fit:
-    """The cheapest refit among sets of candidates, started from the linear estimates at zero."""
-    fits = [search.fit(numbers, search.first.estimate(numbers)) for numbers in sets]
-    return min(fits, key=lambda fit: round(search.cost(fit, scored.variance), _ALIKE))
-
-
 def _grown(search: Search[Any], fit: Fit, rest: Board) -> Fit | None:
     """The best larger set, if one more effect is significant at the refit and worth its price."""
     if not rest.candidates or search.tested * float(rest.p_values.min()) > GATE:
@@ -260,9 +253,7 @@ def _afresh(search: Search[Any], size: int, present: Sequence[int], partners: Se
     for seed in seeds:
         drop, rank = scored.given(seed)
         inside = np.isin(scored.block, seed)
-        own = float(scored.statistic[seed[0]])
-        if len(seed) > 1:
-            own, _ = explained(scored.unit_gram[np.ix_(inside, inside)], scored.score[inside], SHARE_LEFT)
+        own, _ = explained(scored.unit_gram[np.ix_(inside, inside)], scored.score[inside], SHARE_LEFT)
         whole = (own + drop) / scored.variance
         cost = -whole + penalty(int(inside.sum()) + rank, whole, search.samples)
         names = {search.found[n].name for n in seed}

@@ -235,8 +235,7 @@ class Readings:
         return self.whitener.apply(self.problem.residual_of(active))
 
     def jacobian(self, active: Sequence[Active]) -> FloatArray:
-        images = self.problem.derivatives(active)
-        return self.whitener.apply(images) if images.shape[2] else images
+        return self.whitener.apply(self.problem.derivatives(active))
 
     def candidate(self, effect: SignalEffect, modelled: Sequence[Active]) -> Candidate:
         return candidate_of(self.problem, effect, modelled=modelled)

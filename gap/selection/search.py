@@ -109,10 +109,8 @@ class SearchResult:
     """(N, 3) reading less prediction with everything at its refitted value, all rows of the problem."""
     residual_alone_nT: FloatArray
     """(N, 3) the same without any named effect."""
-    residual_white: FloatArray
-    """(M, 3) whitened."""
-    jacobian_white: FloatArray
-    """(M, 3, c + p) whitened, what is modelled, then the named effects in the order of `chosen`."""
+    fit: Fit
+    """With the named effects, in the order of the search."""
     variance: float
     """Of whitened rows about the saturated fit: 1 when the noise model is right."""
     scores: tuple[tuple[Score, ...], tuple[Score, ...]]
@@ -131,22 +129,16 @@ class SearchResult:
         return tuple(dict.fromkeys(name for one in self.named if one.too_many_alike for name in one.group))
 
 
-def result_of(
-    under_way: Search[Readings],
-    untestable: dict[str, str],
-    fit: Fit,
-    rest: Board,
-) -> SearchResult:
+def result_of(under_way: Search[Readings], untestable: dict[str, str], fit: Fit, rest: Board) -> SearchResult:
     """All that later steps need of a search that ended with a fit. rest: scores beside it. The probability of a name is
     that of its group given that named effects are all there is."""
     first, base, problem = under_way.first, under_way.base, under_way.channel.problem
     raw_nuisance = problem.derivatives(base.modelled)
     seen, hidden = smallest(first, under_way.tested)
     named = [_named(under_way, fit, number, rest.variance, raw_nuisance) for number in range(len(fit.chosen))]
-    order = by_gain(under_way, fit)
     residual, alone = (problem.residual_of(each.active) for each in (fit, base))
     return SearchResult(
-        named=tuple(named[number] for number in order),
+        named=tuple(named[number] for number in by_gain(under_way, fit)),
         ranking=ranking(under_way),
         untestable={**untestable, **hidden},
         isolability=first.isolability,
@@ -156,8 +148,7 @@ def result_of(
         modelled_alone=base.modelled,
         residual_nT=residual,
         residual_alone_nT=alone,
-        residual_white=fit.residual,
-        jacobian_white=fit.jacobian[:, :, _columns(fit, order)],
+        fit=fit,
         variance=rest.variance,
         scores=_scores(under_way, first, rest if fit.chosen else None),
         tested=under_way.tested,
@@ -185,11 +176,7 @@ def _scores(
 
 
 def _named(
-    under_way: Search[Readings],
-    fit: Fit,
-    number: int,
-    variance: float,
-    raw_nuisance: FloatArray,
+    under_way: Search[Readings], fit: Fit, number: int, variance: float, raw_nuisance: FloatArray
 ) -> FoundEffect:
     effect, theta = fit.chosen[number]
     assert isinstance(effect, SignalEffect)
@@ -246,13 +233,6 @@ def by_gain(under_way: Search[Readings], fit: Fit) -> list[int]:
         return float(np.sum(under_way.channel.residual([*fit.modelled, *fit.others(number)]) ** 2))
 
     return sorted(range(len(fit.chosen)), key=lambda number: -(chi2(number) - fit.chi2))
-
-
-def _columns(fit: Fit, order: list[int]) -> list[int]:
-    """Columns of a fit's Jacobian with the chosen effects in another order."""
-    start = sum(len(theta) for _, theta in fit.modelled)
-    slices = fit.slices()
-    return [*range(start), *(c for number in order for c in range(slices[number].start, slices[number].stop))]
 
 
 def ranking(under_way: Search[Any]) -> tuple[Ranked, ...]:

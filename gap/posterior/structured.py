@@ -225,7 +225,8 @@ class Structured:
 
     def with_line(self, answer: Answer, fast: FullRate | None) -> Answer:
         """A line that only the full rate shows, with its name or as structure that has none."""
-        if fast is None or fast.line.frequency_Hz <= fast.slow_Hz or fast.line.worth <= THRESHOLD:
+        spacing_s = float(np.median(np.diff(self.problem.setting.seconds)))
+        if fast is None or fast.line.frequency_Hz <= 0.5 / spacing_s or fast.line.worth <= THRESHOLD:
             return answer
         wheel = wheel_line(fast.problem.setting, fast.left, fast.line)
         if wheel is not None and wheel.confirmed:

@@ -124,12 +124,8 @@ def _of_each_row(
 def _hats(seconds: FloatArray, spacing: float) -> FloatArray:
     """(N, k) of a straight line between knots, by its values at those that have rows beside them."""
     place = (seconds - seconds[0]) / spacing
-    before = np.floor(place).astype(np.intp)
-    knots = np.unique(np.concatenate([before, before + 1]))
-    found, rows = np.zeros((seconds.size, knots.size)), np.arange(seconds.size)
-    found[rows, np.searchsorted(knots, before)] = before + 1 - place
-    found[rows, np.searchsorted(knots, before + 1)] += place - before
-    return found
+    knots = np.unique(np.floor([place, place + 1.0]))
+    return np.asarray(np.maximum(1.0 - np.abs(place[:, None] - knots), 0.0))
 
 
 @dataclass(frozen=True)

@@ -129,14 +129,17 @@ class SearchResult:
         return tuple(dict.fromkeys(name for one in self.named if one.too_many_alike for name in one.group))
 
 
-def result_of(under_way: Search[Readings], untestable: dict[str, str], fit: Fit, rest: Board) -> SearchResult:
-    """All that later steps need of a search that ended with a fit. rest: scores beside it. The probability of a name is
-    that of its group given that named effects are all there is."""
+def result_of(
+    under_way: Search[Readings], untestable: dict[str, str], fit: Fit, rest: Board, modelled: int
+) -> SearchResult:
+    """All that later steps need of a search that ended with a fit. rest: scores beside it; modelled: how many effects are
+    re-estimated, those after them are causes. The probability of a name is that of its group given that named effects are
+    all there is."""
     first, base, problem = under_way.first, under_way.base, under_way.channel.problem
     raw_nuisance = problem.derivatives(base.modelled)
     seen, hidden = smallest(first, under_way.tested)
     named = [_named(under_way, fit, number, rest.variance, raw_nuisance) for number in range(len(fit.chosen))]
-    residual, alone = (problem.residual_of(each.active) for each in (fit, base))
+    residual, alone = (problem.residual_of([*each.modelled[:modelled], *each.chosen]) for each in (fit, base))
     return SearchResult(
         named=tuple(named[number] for number in by_gain(under_way, fit)),
         ranking=ranking(under_way),
@@ -144,8 +147,8 @@ def result_of(under_way: Search[Readings], untestable: dict[str, str], fit: Fit,
         isolability=first.isolability,
         smallest=seen,
         candidates=tuple(under_way.found),
-        modelled=fit.modelled,
-        modelled_alone=base.modelled,
+        modelled=fit.modelled[:modelled],
+        modelled_alone=base.modelled[:modelled],
         residual_nT=residual,
         residual_alone_nT=alone,
         fit=fit,

@@ -90,8 +90,7 @@ def diagnose(
     left_out = [words.stuck(telemetry.time, stuck)] if stuck.any() else []
     work = replace(work, stuck=left_out[0] if left_out else None)
     answer, problem = work.answer, work.problem
-    facts: dict[str, object] = dict(provenance or {})
-    facts |= {"field_model": model.title, "noise": answer.noise.words}
+    facts = {**(provenance or {}), "field_model": model.title, "noise": answer.noise.words}
     facts |= {"rows_thinned_by": every, "rounding_lasts_rows": new}
     sources = complete_budget(problem).sources or {}
     facts |= {f"budget: {name}": source for name, source in sources.items()}
@@ -168,12 +167,11 @@ def _denied(work: Work) -> dict[str, str]:
                 gone[one.name] = words.DENIED_SENSOR
     if not work.in_readings:
         return gone
-    whole = problem.residual_of([*result.modelled, *result.chosen])
-    readings = projected(work.answer.whitener, whole, work.answer.alone_nT)
+    readings = projected(work.answer.whitener, result.residual_nT, work.answer.alone_nT)
     columns = {own[0].name: problem.derivatives([own]) for own in result.chosen}
     for place, (effect, _) in enumerate(result.chosen):
         without = [*result.modelled, *result.chosen[:place], *result.chosen[place + 1 :]]
-        image_nT = problem.residual_of(without) - whole
+        image_nT = problem.residual_of(without) - result.residual_nT
         others = [one for name, one in columns.items() if name != effect.name]
         named = next(one for one in work.in_readings if one.name == effect.name)
         for name in {effect.name, *named.group, *(rival for rival, _ in named.rivals)}:

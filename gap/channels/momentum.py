@@ -16,7 +16,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 from typing import cast
 
 import numpy as np
@@ -157,32 +157,27 @@ def choose_noise(windows: Windows, residual: FloatArray, saturated: FloatArray, 
     prior, tau = prior_of(budget), budget.attitude_tau_s
     taus = sorted({15.0, 30.0, 60.0, 120.0, 250.0, 500.0, 1000.0, 2000.0, tau or 0.0})
     starts = [min(taus, key=lambda value: abs(value - near)) for near in ((60.0, 1000.0) if tau is None else (tau,))]
-    seen: dict[MomentumNoise, tuple[float, float]] = {}
 
-    def likelihood(noise: MomentumNoise) -> float:
-        if noise not in seen:
-            seen[noise] = _likelihood(windows, residual, saturated, noise, prior)
-        return seen[noise][0]
+    @cache
+    def seen(noise: MomentumNoise) -> tuple[float, float]:
+        return _likelihood(windows, residual, saturated, noise, prior)
 
-    def climbed(best: MomentumNoise) -> MomentumNoise:
-        for _ in range(3):
-            for name, grid in (("torque", _RATIOS), ("rate", _RATIOS), ("tau_s", taus)):
-                best = _climbed(best, name, grid, likelihood)
-        return best
-
-    best = max((climbed(MomentumNoise(1.0, start)) for start in starts), key=likelihood)
-    sigma = max(seen[best][1], _FINEST_RAD)
-    share = (seen[best][1] / sigma) ** 2
+    found = [MomentumNoise(1.0, start) for start in starts]
+    for name, grid in (("torque", _RATIOS), ("rate", _RATIOS), ("tau_s", taus)) * 3:
+        found = [_climbed(one, name, grid, seen) for one in found]
+    best = max(found, key=lambda one: seen(one)[0])
+    sigma = max(seen(best)[1], _FINEST_RAD)
+    share = (seen(best)[1] / sigma) ** 2
     return replace(best, sigma_rad=sigma, torque=share * best.torque, rate=share * best.rate)
 
 
 def _climbed(
-    noise: MomentumNoise, name: str, grid: Sequence[float], likelihood: Callable[[MomentumNoise], float]
+    noise: MomentumNoise, name: str, grid: Sequence[float], seen: Callable[[MomentumNoise], tuple[float, float]]
 ) -> MomentumNoise:
     """The best along one axis of the grid, or the first that is as good: coarse first, then beside the best."""
     places = sorted({*range(0, len(grid), 4), grid.index(getattr(noise, name)), len(grid) - 1})
     while True:
-        heights = [likelihood(replace(noise, **{name: grid[place]})) for place in places]
+        heights = [seen(replace(noise, **{name: grid[place]}))[0] for place in places]
         best = min(place for place, height in zip(places, heights, strict=True) if height >= max(heights) - CLOSE)
         beside = [place for place in (best - 1, best + 1) if 0 <= place < len(grid) and place not in places]
         if not beside:

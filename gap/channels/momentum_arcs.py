@@ -330,16 +330,12 @@ class Windows:
         """(M,) rows of the problem."""
         return np.concatenate([window.rows for window in self.windows])
 
-    @cached_property
-    def led(self) -> FloatArray:
-        """(M, 3) where the balance leads from each window's first point of the track, against the track [rad]."""
-        return np.asarray(self.chained(self.arcs.base[:, :, None])[:, :, 0])
-
     def residual(self, R_BN: Rotation | None = None) -> FloatArray:
-        """(M, 3) attitude less where the balance leads [rad]; R_BN: of all rows, default as recorded."""
+        """(M, 3) attitude less where the balance leads from each window's first point of the track [rad]; R_BN: of all rows,
+        default as recorded."""
         given = self.arcs.problem.setting.given[2] if R_BN is None else R_BN
         turned = (given[self.rows] * self.arcs.track[self.rows].inv()).as_rotvec()
-        return np.asarray(turned - self.led)
+        return np.asarray(turned - self.chained(self.arcs.base[:, :, None])[:, :, 0])
 
     def chained(self, forcing: FloatArray) -> FloatArray:
         """(M, 3, p) turns of the nodes by what happens in the arcs, forcing (A, 6, p)."""

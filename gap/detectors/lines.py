@@ -166,8 +166,6 @@ class FullRate:
     """(n, 3, q) its Jacobian."""
     left: ProjectedResidual
     line: Line
-    slow_Hz: float
-    """Highest frequency that the evenly spaced rows show as it is."""
 
 
 def full_rate(
@@ -179,7 +177,6 @@ def full_rate(
     """
     if any(hasattr(effect, "sequence") and effect.sequence for effect, _ in chosen):
         return None
-    setting = problem.setting
     near = _stretch(whole, problem, modelled, chosen)
     residual = near.residual_of([*modelled, *chosen])
     fitted = near.derivatives([*modelled, *chosen])
@@ -187,8 +184,7 @@ def full_rate(
     whitener = whitener_of(near, noise, robust.weights)
     left = projected(whitener, residual, fitted)
     line = strongest_line(near.setting.seconds, left)
-    slow_Hz = 0.5 / float(np.median(np.diff(setting.seconds)))
-    return FullRate(near, robust, whitener, residual, fitted, left, line, slow_Hz)
+    return FullRate(near, robust, whitener, residual, fitted, left, line)
 
 
 def _stretch(whole: Telemetry, problem: Problem, modelled: Sequence[Active], chosen: Sequence[Active]) -> Problem:
@@ -197,12 +193,10 @@ def _stretch(whole: Telemetry, problem: Problem, modelled: Sequence[Active], cho
     near = pose(
         whole.select(slice(first, first + MOST_ROWS_FAST)),
         problem.setting.model,
-        modelled=[effect.name for effect in problem.modelled],
+        modelled=(),
         budget=problem.budget,
         instrument=problem.setting.instrument,
         frozen=problem.frozen,
     )
-    thetas = {effect.name: theta for effect, theta in modelled}
-    about = tuple(thetas[effect.name] for effect in problem.modelled)
-    near = replace(near, modelled=problem.modelled, modelled_theta=about)
+    near = replace(near, modelled=problem.modelled, modelled_theta=tuple(theta for _, theta in modelled))
     return realigned(near, beside=[*modelled, *chosen])

@@ -88,21 +88,16 @@ def candidates(problem: Problem, perturbed: PerturbedDesign | None = None) -> tu
         if possible:
             reasons = [one.untestable(problem.setting) for one in possible]
             reason = None if None in reasons else reasons[0]
+        if possible and reason is None:
+            seen: dict[Effect, FloatArray] = {}
+            every = (_candidate(problem.design, alternative, on, perturbed, seen) for alternative in possible)
+            testable = [candidate for candidate in every if candidate.live.any()]
+            firm = [candidate for candidate in testable if candidate.change <= MOST_CHANGED]
+            nothing = "nothing in these data excites it: at its typical size it would not change any reading"
+            reason = None if firm else OF_ERRORS if testable else nothing
+            found += firm
         if reason is not None:
             untestable[effect.name] = reason
-        if reason is not None or not possible:
-            continue
-        seen: dict[Effect, FloatArray] = {}
-        every = (_candidate(problem.design, alternative, on, perturbed, seen) for alternative in possible)
-        testable = [candidate for candidate in every if candidate.live.any()]
-        if not testable:
-            untestable[effect.name] = (
-                "nothing in these data excites it: at its typical size it would not change any reading"
-            )
-        firm = [candidate for candidate in testable if candidate.change <= MOST_CHANGED]
-        if testable and not firm:
-            untestable[effect.name] = OF_ERRORS
-        found += firm
     return found, untestable
 
 

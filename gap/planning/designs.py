@@ -225,7 +225,7 @@ def _slews(legs: list[tuple[float, float, float]], rate_deg_s: float, hours: flo
             places += [(yaw, leg[1], leg[2]), (yaw, 0.0, 0.0)]
     duration_s = 90.0 / rate_deg_s * 1.875  # 15 / 8: the fastest rate of its polynomial of fifth order over the mean
     count = int(np.ceil(3600.0 * hours / duration_s)) + 1
-    points, turned = [], 0.0
+    points = []
     for number in range(max(count, 2)):
         round_, place = divmod(number, len(places) - 1)
         y, r, p = places[place]

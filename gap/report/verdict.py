@@ -476,9 +476,6 @@ def assumed(budget: Budget, problem: Problem, noise: NoiseModel) -> dict[str, di
 
 def expected(finding: Finding, frozen: Sequence[Active]) -> bool:
     """Whether the scenario has this stochastic effect already, in this size (to a quarter, or three sigma)."""
-    for effect, theta in frozen:
-        if effect.name == finding.name and isinstance(effect, DistributionEffect):
-            bar = max(3.0 * float(finding.sigma[0]) * float(np.sqrt(2.0)), 0.25 * float(theta[0]))
-            if abs(float(finding.theta[0]) - float(theta[0])) <= bar:
-                return True
-    return False
+    had = [size[0] for one, size in frozen if one.name == finding.name and isinstance(one, DistributionEffect)]
+    bar = 3.0 * float(np.sqrt(2.0)) * finding.sigma[0]
+    return any(abs(finding.theta[0] - size) <= max(bar, 0.25 * size) for size in had)

@@ -15,7 +15,7 @@ from fluxtwin.gap.detectors.finding import Finding
 from fluxtwin.gap.detectors.lines import MOST_ROWS_FAST, full_rate
 from fluxtwin.gap.detectors.random_walk import worth_of_a_walk
 from fluxtwin.gap.detectors.residual_structure import Structure, judge, residual_structure
-from fluxtwin.gap.held_out.held_out import Fitted, Prediction, floor_rms_nT, one_step, predict_blocks
+from fluxtwin.gap.held_out.held_out import Prediction, floor_rms_nT, one_step, predict_blocks
 from fluxtwin.gap.hypotheses.blocks import BlockFit, Dictionary, blocks
 from fluxtwin.gap.hypotheses.candidates import PerturbedDesign, candidates
 from fluxtwin.gap.law.found import closed_by, law_of
@@ -381,7 +381,7 @@ def _prediction(
     problem: Problem, answer: Answer, flexible: Sequence[Finding], declared_lsb_nT: float | None
 ) -> Prediction:
     """Held-out residuals; a walk is predicted one row ahead."""
-    result, noise, axes, seconds = answer.result, answer.noise, problem.axes, problem.setting.seconds
+    result, noise = answer.result, answer.noise
     kept: BoolArray = ~np.any(answer.robust.cut, axis=1)
     white_nT, theta_rad = floor_noise(flexible, noise, problem.budget)
     about = (problem.measured[kept], noise.roll)
@@ -389,16 +389,16 @@ def _prediction(
     floor_nT = float(np.sqrt(max(with_effects_nT**2 - stochastic_nT(flexible, noise, declared_lsb_nT) ** 2, 0.0)))
     own = answer.fitted_nT[:, :, answer.alone_nT.shape[2] :]
     both = np.concatenate([answer.alone_nT, own], axis=2)
-    pairs = ((result.residual_alone_nT, answer.alone_nT), (result.residual_nT, both))
-    alone, whole = (Fitted.of(problem, answer.whitener, *pair) for pair in pairs)
-    held = predict_blocks(seconds, kept, with_effects_nT, alone, whole, problem.measured)
+    fits = ((result.residual_alone_nT, answer.alone_nT), (result.residual_nT, both))
+    held = predict_blocks(problem, answer.whitener, kept, with_effects_nT, *fits)
     log_sd = _floor_log_sd(problem, noise, min((white_nT / with_effects_nT) ** 2, 1.0))
     before_nT, after_nT = np.hypot([floor_nT, with_effects_nT], held.unsure_nT).tolist()
-    held = replace(held, floor_nT=before_nT, floor_with_effects_nT=after_nT, axes=axes, floor_log_sd=log_sd)
+    held = replace(held, floor_nT=before_nT, floor_with_effects_nT=after_nT, floor_log_sd=log_sd)
     walk = next((one for one in flexible if one.name == "bias_random_walk"), None)
     if walk is None:
         return held
-    after, unsure_nT = one_step(whole.residual_nT, seconds, kept, float(walk.theta[0]), with_effects_nT, axes)
+    about_walk = (problem.setting.seconds, kept, float(walk.theta[0]), with_effects_nT, problem.axes)
+    after, unsure_nT = one_step(problem.in_row_axes(result.residual_nT), *about_walk)
     floor_nT = float(np.hypot(with_effects_nT, unsure_nT))
     return replace(held, after_nT=after, floor_with_effects_nT=floor_nT, of="one_step")
 

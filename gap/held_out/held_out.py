@@ -29,22 +29,8 @@ DRAWS = 400
 """Of the bootstrap: its 5 % points are good to a tenth of the spread."""
 
 
-@dataclass(frozen=True, eq=False)
-class Fitted:
-    """A fit, N rows: in nT and whitened."""
-
-    residual_nT: FloatArray
-    """(N, 3)."""
-    columns_nT: FloatArray
-    """(N, 3, P) Jacobian of what is fitted."""
-    residual: FloatArray
-    columns: FloatArray
-
-    @classmethod
-    def of(cls, problem: Problem, whitener: Whitens, residual_nT: FloatArray, columns_nT: FloatArray) -> Fitted:
-        """From a residual (N, 3) and what is fitted (N, 3, P), both in body axes."""
-        plain = (problem.in_row_axes(residual_nT), problem.in_row_axes(columns_nT))
-        return cls(*plain, whitener.apply(residual_nT), whitener.apply(columns_nT))
+_Fit = tuple[FloatArray, FloatArray]
+"""A residual (N, 3), and what is fitted (N, 3, P), both in body axes [nT]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,18 +153,15 @@ class Prediction:
         return [float(value) for value in np.sqrt(energy / np.maximum(share.sum(axis=(0, 1)), 1e-300))]
 
 
-def predict_blocks(
-    seconds: FloatArray, kept: BoolArray, noise_nT: float, before: Fitted, after: Fitted, measured: BoolArray
-) -> Prediction:
-    """Each block predicted from the others, before and after; where one part of the record does not determine another, the
-    residuals of the fit itself.
+def predict_blocks(problem: Problem, whitener: Whitens, kept: BoolArray, noise_nT: float, *fits: _Fit) -> Prediction:
+    """Each block predicted from the others, by the fit before and by that after; where one part of the record does not
+    determine another, the residuals of the fits themselves.
 
-    seconds, kept: (N,) time and rows that are not cut. noise_nT: rms per component of noise and attitude error. measured:
-    (N, 3) components that count.
+    kept (N,): rows that are not cut. noise_nT: rms per component of noise and attitude error.
     """
-    predicted = before.residual_nT.copy(), after.residual_nT.copy()
-    variance = np.zeros((2, len(seconds)))
-    known = kept.copy()
+    seconds, known = problem.setting.seconds, kept.copy()
+    plain, white = ([tuple(map(turned, fit)) for fit in fits] for turned in (problem.in_row_axes, whitener.apply))
+    predicted, variance = [residual_nT.copy() for residual_nT, _ in plain], np.zeros((2, len(seconds)))
     place = np.cumsum(kept) - 1
     block = np.clip(np.floor(place * BLOCKS / max(int(kept.sum()), 1)), 0, BLOCKS - 1)
     guard = min(SLOW_S, 0.02 * float(seconds[-1] - seconds[0]))
@@ -186,16 +169,17 @@ def predict_blocks(
         held = block == number
         start, end = seconds[held].min() - guard, seconds[held].max() + guard
         train = kept & ~((seconds >= start) & (seconds <= end))
-        for of, (fit, residual_nT) in enumerate(zip((before, after), predicted, strict=True)):
-            theta, root = _solve(fit.residual[train], fit.columns[train])
-            residual_nT[held] = fit.residual_nT[held] - fit.columns_nT[held] @ theta
-            variance[of, held] = np.sum((fit.columns_nT[held] @ root) ** 2, axis=(1, 2))
+        for of, ((residual_nT, columns_nT), (residual, columns)) in enumerate(zip(plain, white, strict=True)):
+            theta, root = _solve(residual[train], columns[train])
+            predicted[of][held] = residual_nT[held] - columns_nT[held] @ theta
+            variance[of, held] = np.sum((columns_nT[held] @ root) ** 2, axis=(1, 2))
         known[held] &= float(np.mean(variance[1, held]) / 3.0) < noise_nT**2
+    about = (noise_nT, noise_nT)
     if 2 * known.sum() < kept.sum():
-        return Prediction(before.residual_nT, after.residual_nT, kept, noise_nT, noise_nT, "fit")
-    unsure_nT = np.sqrt(variance[:, known].sum(axis=1) / measured[known].sum())
+        return Prediction(plain[0][0], plain[1][0], kept, *about, "fit", problem.axes)
+    unsure_nT = np.sqrt(variance[:, known].sum(axis=1) / problem.measured[known].sum())
     of_both = (float(unsure_nT[0]), float(unsure_nT[1]))
-    return Prediction(*predicted, known, noise_nT, noise_nT, unsure_nT=of_both)
+    return Prediction(predicted[0], predicted[1], known, *about, axes=problem.axes, unsure_nT=of_both)
 
 
 def one_step(

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fluxtwin.gap.detectors.residual_structure import PARTS, parts, residual_structure
-from fluxtwin.gap.held_out.held_out import Fitted, floor_rms_nT, predict_blocks
+from fluxtwin.gap.held_out.held_out import floor_rms_nT, predict_blocks
 from fluxtwin.gap.law import words
 from fluxtwin.gap.law.search import Grammar, Regression
 from fluxtwin.gap.linear.projection import projected
@@ -212,11 +212,10 @@ class _Search:
         kept = ~np.any(choice.robust.cut, axis=1)
         noise, measured = choice.noise, problem.measured[kept]
         floor_nT = floor_rms_nT(problem.noise_field_nT[kept], noise.white_rms_nT, noise.theta_rad, measured, noise.roll)
-        before = Fitted.of(problem, whitener, self.base.residual_nT, self.base.fitted_nT)
-        after = Fitted.of(problem, whitener, residual_nT, columns_nT)
-        held = predict_blocks(problem.setting.seconds, kept, floor_nT, before, after, problem.measured)
+        fits = ((self.base.residual_nT, self.base.fitted_nT), (residual_nT, columns_nT))
+        held = predict_blocks(problem, whitener, kept, floor_nT, *fits)
         # Of over a thousand terms that were tried, one that predicts badly is not excused by being unsure.
-        gap = replace(held, axes=problem.axes).shrinkage(True)
+        gap = held.shrinkage(True)
         return replace(gap, closed=None, interval=None) if held.of == "fit" else gap
 
     def _record(self, fit: Fit, terms: Sequence[Active], gap: Shrinkage, alike: Sequence[LawEffect]) -> Law:

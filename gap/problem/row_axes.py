@@ -112,28 +112,46 @@ def pseudo_attitude(R_BN: Rotation, known: BoolArray, field_N_nT: FloatArray, fi
     """(N, 4) R_BN where it is known; elsewhere that of the row before, turned as little as makes the field fit.
 
     field_N_nT, field_B_nT (N, 3): model, and reading as calibrated so far. So the way of the field through the body
-    is that of the readings, and the rate about the field, which nobody knows, is small. The least turn that brings q t q*
-    to u, both of unit length, makes q - u q t of q.
+    is that of the readings, and the rate about the field, which nobody knows, is small.
     """
     quaternions = np.atleast_2d(R_BN.as_quat())
-    steps = np.eye(4) - _products(_unit(field_B_nT), -1.0) @ _products(_unit(field_N_nT), 1.0)
-    before = quaternions[int(np.argmax(known))]
+    wanted = field_B_nT / np.maximum(np.linalg.norm(field_B_nT, axis=1), 1e-300)[:, None]
+    there = field_N_nT / np.linalg.norm(field_N_nT, axis=1)[:, None]
+    start = quaternions[int(np.argmax(known))] if known.any() else np.array([0.0, 0.0, 0.0, 1.0])
+    before = (float(start[0]), float(start[1]), float(start[2]), float(start[3]))
     for row in range(known.size):
-        if not known[row]:
-            turned = steps[row] @ before
-            if np.linalg.norm(turned) < 1e-4:  # opposite: half a turn, whatever about
-                turned = steps[row, :, np.argmax(np.linalg.norm(steps[row], axis=0))]
-            quaternions[row] = turned / np.linalg.norm(turned)
-        before = quaternions[row]
+        if known[row]:
+            x, y, z, w = quaternions[row].tolist()
+            before = (x, y, z, w)
+            continue
+        before = _least_turned(before, there[row].tolist(), wanted[row].tolist())
+        quaternions[row] = before
     return quaternions
 
 
-def _products(vectors: FloatArray, side: float) -> FloatArray:
-    """(N, 4, 4) that multiply a quaternion by vectors (N, 3) from the right, side 1, or from the left, -1."""
-    found = np.zeros((len(vectors), 4, 4))
-    found[:, :3, :3] = side * turn_images(vectors)
-    found[:, :3, 3], found[:, 3, :3] = vectors, -vectors
-    return found
+_Quaternion = tuple[float, float, float, float]
+
+
+def _least_turned(q: _Quaternion, there: list[float], wanted: list[float]) -> _Quaternion:
+    """The rotation q followed by the smallest one that brings q(there) to `wanted`. Plain numbers: it is a recursion."""
+    x, y, z, w = q
+    a, b, c = there
+    # v = q there q*, by v + 2 w (r x v) + 2 r x (r x v)
+    tx, ty, tz = 2.0 * (y * c - z * b), 2.0 * (z * a - x * c), 2.0 * (x * b - y * a)
+    vx, vy, vz = a + w * tx + y * tz - z * ty, b + w * ty + z * tx - x * tz, c + w * tz + x * ty - y * tx
+    ux, uy, uz = wanted
+    cosine = vx * ux + vy * uy + vz * uz
+    px, py, pz, pw = vy * uz - vz * uy, vz * ux - vx * uz, vx * uy - vy * ux, 1.0 + cosine
+    if pw < 1e-9:  # opposite: half a turn about anything across
+        px, py, pz, pw = (-vy, vx, 0.0, 0.0) if abs(vz) < 0.9 else (0.0, -vz, vy, 0.0)
+    size = (px * px + py * py + pz * pz + pw * pw) ** 0.5
+    px, py, pz, pw = px / size, py / size, pz / size, pw / size
+    return (
+        pw * x + px * w + py * z - pz * y,
+        pw * y + py * w + pz * x - px * z,
+        pw * z + pz * w + px * y - py * x,
+        pw * w - px * x - py * y - pz * z,
+    )
 
 
 def row_axes(

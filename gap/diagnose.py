@@ -15,7 +15,7 @@ from fluxtwin.gap.detectors.finding import Finding
 from fluxtwin.gap.detectors.lines import MOST_ROWS_FAST, full_rate
 from fluxtwin.gap.detectors.random_walk import worth_of_a_walk
 from fluxtwin.gap.detectors.residual_structure import Structure, judge, residual_structure
-from fluxtwin.gap.held_out.held_out import Fitted, Prediction, floor_rms_nT, one_step, predict_blocks
+from fluxtwin.gap.held_out.held_out import Prediction, floor_rms_nT, one_step, predict_blocks
 from fluxtwin.gap.hypotheses.blocks import BlockFit, Dictionary, blocks
 from fluxtwin.gap.hypotheses.candidates import PerturbedDesign, candidates, parts_of
 from fluxtwin.gap.law.found import closed_by, law_of
@@ -33,7 +33,7 @@ from fluxtwin.gap.records.diagnosis import Detectable, Diagnosis, Place
 from fluxtwin.gap.report import input_warnings, verdict, words
 from fluxtwin.gap.report.verdict import Work
 from fluxtwin.gap.selection.criterion import FEWEST, THRESHOLD
-from fluxtwin.gap.selection.detectable import Hiding, detectable
+from fluxtwin.gap.selection.detectable import detectable
 from fluxtwin.gap.selection.refit import Readings, refit, settled
 from fluxtwin.sim.base.errors import NoAnswer
 from fluxtwin.sim.base.progress import Progress, silent
@@ -46,15 +46,6 @@ from fluxtwin.sim.telemetry.record import Telemetry
 
 MOST_ROWS = 5_000
 """Longer records are thinned to this many rows, evenly; what is faster is looked for in a stretch at the full rate."""
-_REPEATED = 0.5
-"""Share of readings that may be the same code as in the row before: rounding errors are noise, new in every row, only where
-the reading moves by about a step from row to row (Widrow & Kollar 2008, Quantization Noise, chapter 20)."""
-_FEWEST_ROWS = 200
-"""Rows that thinning leaves at the least: several for each of some fifteen parameters of a usual problem."""
-_PART_OF_SIGMA = 0.5
-"""By which the size of an effect may be off because S was not quite right: the error is then at most 12 % larger."""
-_BOUNDLESS_RAD = 1.0
-"""An attitude error beside which any other in a reading is nothing."""
 
 
 def diagnose(
@@ -99,8 +90,7 @@ def diagnose(
     left_out = [words.stuck(telemetry.time, stuck)] if stuck.any() else []
     work = replace(work, stuck=left_out[0] if left_out else None)
     answer, problem = work.answer, work.problem
-    facts: dict[str, object] = dict(provenance or {})
-    facts |= {"field_model": model.title, "noise": answer.noise.words}
+    facts = {**(provenance or {}), "field_model": model.title, "noise": answer.noise.words}
     facts |= {"rows_thinned_by": every, "rounding_lasts_rows": new}
     sources = complete_budget(problem).sources or {}
     facts |= {f"budget: {name}": source for name, source in sources.items()}
@@ -109,7 +99,7 @@ def diagnose(
         facts["without_attitude"] = problem.axes.words
         notes.append(problem.axes.words)
     counted, robust = work.every_row
-    if robust.components_cut:
+    if robust.cut.any():
         facts["outliers"] = words.outliers(counted.time, robust.cut)
         notes.append(words.outliers(counted.time, robust.cut))
     if work.apart is not None:
@@ -149,7 +139,7 @@ def _with_law(work: Work, found: Diagnosis, progress: Progress) -> Diagnosis:
     if not (open_ or exact) or in_torques or found.closure is None:
         return found
     law = law_of(work.problem, work.answer, work.in_readings if found.verdict == "effect" else [], progress)
-    if not open_ and not law.terms:
+    if not open_ and not law.record.terms:
         return found
     assumed = words.assumed(found.assumed)
     said = beside_names(found.sentence.removesuffix(assumed).rstrip(), law.record)
@@ -177,12 +167,11 @@ def _denied(work: Work) -> dict[str, str]:
                 gone[one.name] = words.DENIED_SENSOR
     if not work.in_readings:
         return gone
-    whole = problem.residual_of([*result.modelled, *result.chosen])
-    readings = projected(work.answer.whitener, whole, work.answer.alone_nT)
+    readings = projected(work.answer.whitener, result.residual_nT, work.answer.alone_nT)
     columns = {own[0].name: problem.derivatives([own]) for own in result.chosen}
     for place, (effect, _) in enumerate(result.chosen):
         without = [*result.modelled, *result.chosen[:place], *result.chosen[place + 1 :]]
-        image_nT = problem.residual_of(without) - whole
+        image_nT = problem.residual_of(without) - result.residual_nT
         others = [one for name, one in columns.items() if name != effect.name]
         named = next(one for one in work.in_readings if one.name == effect.name)
         for name in {effect.name, *named.group, *(rival for rival, _ in named.rivals)}:
@@ -273,7 +262,7 @@ def _beside_the_names(problem: Problem, answer: Answer) -> Problem:
     moved = float(np.abs(corrected(old, result.modelled).S - old.S).max())
     sizes = [abs(size.value / size.sigma) for one in result.named for size in one.parameters.values() if size.sigma]
     found = problem
-    if moved * max(sizes, default=0.0) > _PART_OF_SIGMA:
+    if moved * max(sizes, default=0.0) > 0.5:  # less makes the error of a size at most 12 % larger
         found = calibrated(problem, result.modelled)
     if problem.axes is not None and result.chosen:
         beside = [*(result.modelled if found is problem else found.modelled_active), *result.chosen]
@@ -284,21 +273,22 @@ def _beside_the_names(problem: Problem, answer: Answer) -> Problem:
 def _minimum_detectable(problem: Problem, answer: Answer) -> dict[str, Detectable]:
     """The smallest size of each effect that would have been named, by what the record says of its noise."""
     result, robust = answer.result, answer.robust
+    if not result.smallest:
+        return {}
     walk = next((float(one.theta[0]) for one in answer.shapes if one.name == "bias_random_walk"), 0.0)
     rate = walk / answer.noise.sigma_nT
     likely = likely_noises(problem, answer.whitener, result.residual_nT, answer.fitted_nT, rate)
-    noises = [Hiding(answer.whitener, 0.0, 0.0)]
+    noises = [(answer.whitener, 0.0, 0.0)]
     for one in likely:
         own = whitener_of(problem, one.noise, robust.weights)
         whitener = with_walk(own, rate * one.noise.sigma_nT) if walk else own
-        noises.append(Hiding(whitener, one.probability, one.cost))
+        noises.append((whitener, one.probability, one.cost))
     images, seen = [], {}
     for name, least in result.smallest.items():
         owner = result.candidates[least.owner]
         images.append(owner.jacobian[:, :, least.place])
         seen[name] = least._replace(parameter=owner.effect.parameters_on(problem.setting)[least.place])
-    every = np.stack(images, axis=-1) if images else np.zeros((problem.rows, 3, 0))
-    return detectable(seen, every, without_names(problem, answer), noises)
+    return detectable(seen, np.stack(images, axis=-1), without_names(problem, answer), noises)
 
 
 def _about_the_whitened_fit(problem: Problem) -> Problem:
@@ -328,7 +318,7 @@ def _attitude_would_do(problem: Problem, answer: Answer, dictionary: Dictionary)
     """
     if not problem.free_attitude_error or answer.known >= 0.5 or answer.result.named:
         return None
-    boundless = replace(answer.noise, theta_rad=_BOUNDLESS_RAD, tau_s=0.0)
+    boundless = replace(answer.noise, theta_rad=1.0, tau_s=0.0)
     whitener = whitener_of(problem, boundless, answer.robust.weights)
     if residual_structure(problem, whitener, answer.result.residual_nT, answer.fitted_nT, dictionary).structured:
         return None
@@ -339,9 +329,13 @@ def _attitude_would_do(problem: Problem, answer: Answer, dictionary: Dictionary)
 
 
 def new_rounding(telemetry: Telemetry) -> tuple[Telemetry, int]:
-    """The record with every n-th row, and n: as few as it takes for the rounding to be new from row to row."""
+    """The record with every n-th row, and n: as few as it takes for the rounding to be new from row to row, as noise is: it
+    is so only where the reading moves by about a step (Widrow & Kollar 2008, Quantization Noise, chapter 20).
+
+    At least 200 rows are left: several for each of some fifteen parameters of a usual problem.
+    """
     every = 1
-    while _repeated(telemetry.mag_B_nT[::every]) > _REPEATED and len(telemetry) >= 2 * every * _FEWEST_ROWS:
+    while _repeated(telemetry.mag_B_nT[::every]) > 0.5 and len(telemetry) >= 400 * every:
         every *= 2
     return _each(telemetry, every), every
 
@@ -377,10 +371,7 @@ def _require_rows(problem: Problem) -> None:
 
 
 def _place(
-    problem: Problem,
-    answer: Answer,
-    dictionary: Dictionary,
-    other: tuple[ProjectedResidual, Sequence[BlockFit]] | None,
+    problem: Problem, answer: Answer, dictionary: Dictionary, other: tuple[ProjectedResidual, Sequence[BlockFit]] | None
 ) -> Place:
     """Of the whole gap where it is explained, of the rest where structure remains that is not."""
     result, whitener = answer.result, answer.whitener
@@ -397,7 +388,7 @@ def _prediction(
     problem: Problem, answer: Answer, flexible: Sequence[Finding], declared_lsb_nT: float | None
 ) -> Prediction:
     """Held-out residuals; a walk is predicted one row ahead."""
-    result, noise, axes, seconds = answer.result, answer.noise, problem.axes, problem.setting.seconds
+    result, noise = answer.result, answer.noise
     kept: BoolArray = ~np.any(answer.robust.cut, axis=1)
     white_nT, theta_rad = floor_noise(flexible, noise, problem.budget)
     about = (problem.measured[kept], noise.roll)
@@ -405,17 +396,18 @@ def _prediction(
     floor_nT = float(np.sqrt(max(with_effects_nT**2 - stochastic_nT(flexible, noise, declared_lsb_nT) ** 2, 0.0)))
     own = answer.fitted_nT[:, :, answer.alone_nT.shape[2] :]
     both = np.concatenate([answer.alone_nT, own], axis=2)
-    pairs = ((result.residual_alone_nT, answer.alone_nT), (result.residual_nT, both))
-    alone, whole = (Fitted.of(problem, answer.whitener, *pair) for pair in pairs)
-    held = predict_blocks(seconds, kept, with_effects_nT, alone, whole, problem.measured)
-    after, of, unsure_nT = held.after_nT, held.of, held.unsure_nT[1]
-    walk = next((one for one in flexible if one.name == "bias_random_walk"), None)
-    if walk is not None:
-        of, rate = "one_step", float(walk.theta[0])
-        after, unsure_nT = one_step(whole.residual_nT, seconds, kept, rate, with_effects_nT, axes)
+    fits = ((result.residual_alone_nT, answer.alone_nT), (result.residual_nT, both))
+    held = predict_blocks(problem, answer.whitener, kept, with_effects_nT, *fits)
     log_sd = _floor_log_sd(problem, noise, min((white_nT / with_effects_nT) ** 2, 1.0))
-    before_nT, after_nT = float(np.hypot(floor_nT, held.unsure_nT[0])), float(np.hypot(with_effects_nT, unsure_nT))
-    return Prediction(held.before_nT, after, held.counted, before_nT, after_nT, of, axes, log_sd, held.unsure_nT[0])
+    before_nT, after_nT = np.hypot([floor_nT, with_effects_nT], held.unsure_nT).tolist()
+    held = replace(held, floor_nT=before_nT, floor_with_effects_nT=after_nT, floor_log_sd=log_sd)
+    walk = next((one for one in flexible if one.name == "bias_random_walk"), None)
+    if walk is None:
+        return held
+    about_walk = (problem.setting.seconds, kept, float(walk.theta[0]), with_effects_nT, problem.axes)
+    after, unsure_nT = one_step(problem.in_row_axes(result.residual_nT), *about_walk)
+    floor_nT = float(np.hypot(with_effects_nT, unsure_nT))
+    return replace(held, after_nT=after, floor_with_effects_nT=floor_nT, of="one_step")
 
 
 def _floor_log_sd(problem: Problem, noise: NoiseModel, white: float) -> float:

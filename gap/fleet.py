@@ -27,7 +27,7 @@ from fluxtwin.calib.common.digits import percent
 from fluxtwin.gap.linear.projection import SHARE_LEFT, explained_in_units
 from fluxtwin.gap.posterior.stated import stated
 from fluxtwin.gap.records.diagnosis import Diagnosis, Score
-from fluxtwin.gap.selection.criterion import THRESHOLD, TWENTY_TO_ONE, worth
+from fluxtwin.gap.selection.criterion import LOG_FURTHER, THRESHOLD, worth
 from fluxtwin.gap.selection.score import ALIKE
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.shown import Shown
@@ -153,7 +153,7 @@ def fleet(vehicles: Sequence[str], diagnoses: Sequence[Diagnosis]) -> Fleet:
     ranked, common, compared, whose = list(best.items()), None, shared, set[str]()
     if ranked and ranked[0][1][0] > THRESHOLD:
         top = ranked[0][1][0]
-        group = [name for name, (value, _, _) in ranked if top - value < TWENTY_TO_ONE]
+        group = [name for name, (value, _, _) in ranked if top - value < LOG_FURTHER]
         group += [name for name, _ in ranked if name not in group and _imitate(diagnoses, group[0], name)]
         alike = [{*found.group} for one in diagnoses for found in one.effects if {*found.group} & {*group}]
         said = Counter(chain.from_iterable(alike))

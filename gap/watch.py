@@ -42,30 +42,20 @@ RUN = 1e6
 """Mean run to a false alarm [rows], at least."""
 FIRST_ROWS, FIRST_S = 600, 6000.0
 """To begin with: rows that give sigma to 2 %, and an orbit, in which the field turns through all that S and b act on."""
-_NOISE_ROWS = 2_000
-"""That the noise is found in: sigma to a hundredth; more only take time."""
 SIZES = 2.0 ** np.arange(-2, 4)
 """Changes of the mean [sigma of the white noise]. In steps of two the next one keeps five sixths of the information of any
 size between: 2 r - r**2 at r = sqrt(2)."""
 GROWTH = np.array([np.sqrt(2.0), 2.0, 4.0])
 """Of the noise: variances of two, four, sixteen times as much."""
 _AXES = np.vstack([np.ones(3), np.eye(3)])
-_CORNERS = np.array([[1, 1, 1], [1, 1, -1], [1, -1, 1], [-1, 1, 1]]) / np.sqrt(3.0)
-DIRECTIONS = np.vstack([np.eye(4), np.pad(_CORNERS, ((0, 0), (0, 1)))])
+DIRECTIONS = np.vstack(
+    [np.eye(4), np.array([[1, 1, 1, 0], [1, 1, -1, 0], [1, -1, 1, 0], [-1, 1, 1, 0]]) / np.sqrt(3.0)]
+)
 """Of the change: a bias along an axis or a diagonal, and along the field in proportion to it."""
 _USUAL_nT = 5e4
 """A field by which errors of S count in nT."""
-_OPEN_nT = 1e5
-"""Before the first rows: nothing is known of S and b."""
 _SURE = 2.0
 """The noise is taken for as much as the first rows allow: standard deviations of the logarithms."""
-_MOST = np.log(30.0)
-"""That one row may say: no two rows ring, whatever they read."""
-_MOST_ALONE = np.log(2.0)
-"""That a row beyond six sigma may say after one that was not: single wild readings are no change."""
-_SHORTENS = 0.1
-"""Of the white noise: where attitude errors shorten the component along the field by more, theta**2 / 2 of it, theta x B is
-not all that they do, and rows are taken by the size of the field alone."""
 
 
 class Changed(NamedTuple):
@@ -153,7 +143,8 @@ class Watch:
         self.innovations = np.empty((len(used), 3))
         changes = (DIRECTIONS, SIZES, _AXES, GROWTH, _PRIOR)
         carried = (self.state, self.covariance, self.settled, self.evidence, self.excursion, self.since, self.wild)
-        limits = (CUT_SIGMA, _MOST, _MOST_ALONE, RUN)
+        # No two rows ring, whatever they read, and a single one beyond six sigma is no change.
+        limits = (CUT_SIGMA, np.log(30.0), np.log(2.0), RUN)
         stamps = used.time.astype(np.int64)
         kernel: Any = watch_kernels.run_rows
         rang: int = kernel(
@@ -255,12 +246,13 @@ def begin(
         corrected = first.replace(mag_B_nT=field_nT)
     blind = not first.has_attitude.any()
     start = start_without_attitude(corrected, model) if blind else None
-    thinned = corrected.select(slice(None, None, -(-len(first) // _NOISE_ROWS)))
+    thinned = corrected.select(slice(None, None, -(-len(first) // 2_000)))  # sigma is then known to a hundredth
     problem = settled(pose(thinned, model, budget=budget, instrument=start))
     found, _ = choose_noise(problem)
     sure = _at_most(found)
     shortened_nT = sure.theta_rad**2 * float(np.median(np.linalg.norm(problem.field_B_nT, axis=1)))
-    by_size = problem.free_attitude_error or blind or shortened_nT > _SHORTENS * sure.sigma_nT
+    # Where attitude errors shorten the component along the field by half of that, theta x B is not all that they do.
+    by_size = problem.free_attitude_error or blind or shortened_nT > 0.1 * sure.sigma_nT
     if calibration is not None:
         scale = np.concatenate([np.full(9, _USUAL_nT), np.ones(len(calibration.values) - 9)])
         known = calibration.covariance * np.outer(scale, scale)
@@ -271,7 +263,7 @@ def begin(
         sure,
         by_size,
         Calibration(instrument.S, instrument.b_nT),
-        block_diag(np.eye(3), np.eye(12) * _OPEN_nT**2),
+        block_diag(np.eye(3), np.eye(12) * 1e5**2),  # nothing is known of S and b before the first rows
     )
     watch.run(first, armed=False, by_size=blind)
     return watch

@@ -16,7 +16,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 from typing import cast
 
 import numpy as np
@@ -43,22 +43,12 @@ from fluxtwin.sim.effects.clock_and_orbit import AlongTrackError, TimeTagOffset
 from fluxtwin.sim.effects.response import SensorLag
 from fluxtwin.sim.spacecraft.dynamics.vehicle import Vehicle
 
-_TAUS_S = (0.0, 15.0, 30.0, 60.0, 120.0, 250.0, 500.0, 1000.0, 2000.0)
 _RATIOS = (0.0, *np.geomspace(1e-4, 1e4, 17))
 """Variance at the nodes by a white torque, or rate, over that of the attitude's error."""
-_PLAIN = 0.5
-"""Of log likelihood a decade: where the data do not say, little moves the body unrecorded."""
 _FINEST_RAD = float(np.radians(0.002))
 """No attitude is taken to be better: what wheels do between rows, and short arcs, are not known better."""
-_ROUNDS = 3
-_NEAR = 4
-_SURE = 1e-5
-"""Images are differences of two flights, right to 1e-8: a combination of them with less is not known to a thousandth."""
 _DEAD_RAD = 1e-9
 """A parameter of its typical size that turns no node by more is not there."""
-
-_SPANS = (3, 9)
-"""Rows over which the quick part of wheels is separated from the slow one."""
 
 DYNAMICS: tuple[DynamicsEffect, ...] = tuple(e for e in CATALOGUE if isinstance(e, DynamicsEffect))
 _AHEAD = AlongTrackError.name
@@ -165,34 +155,29 @@ class MomentumWhitener:
 def choose_noise(windows: Windows, residual: FloatArray, saturated: FloatArray, budget: Budget) -> MomentumNoise:
     """The noise of the largest restricted likelihood; residual (M, 3), saturated (M, 3, P): every possible cause."""
     prior, tau = prior_of(budget), budget.attitude_tau_s
-    taus = sorted({*(_TAUS_S[1:] if tau else _TAUS_S), *(() if tau is None else (tau,))})
+    taus = sorted({15.0, 30.0, 60.0, 120.0, 250.0, 500.0, 1000.0, 2000.0, tau or 0.0})
     starts = [min(taus, key=lambda value: abs(value - near)) for near in ((60.0, 1000.0) if tau is None else (tau,))]
-    seen: dict[MomentumNoise, tuple[float, float]] = {}
 
-    def likelihood(noise: MomentumNoise) -> float:
-        if noise not in seen:
-            seen[noise] = _likelihood(windows, residual, saturated, noise, prior)
-        return seen[noise][0]
+    @cache
+    def seen(noise: MomentumNoise) -> tuple[float, float]:
+        return _likelihood(windows, residual, saturated, noise, prior)
 
-    def climbed(best: MomentumNoise) -> MomentumNoise:
-        for _ in range(_ROUNDS):
-            for name, grid in (("torque", _RATIOS), ("rate", _RATIOS), ("tau_s", taus)):
-                best = _climbed(best, name, grid, likelihood)
-        return best
-
-    best = max((climbed(MomentumNoise(1.0, start)) for start in starts), key=likelihood)
-    sigma = max(seen[best][1], _FINEST_RAD)
-    share = (seen[best][1] / sigma) ** 2
+    found = [MomentumNoise(1.0, start) for start in starts]
+    for name, grid in (("torque", _RATIOS), ("rate", _RATIOS), ("tau_s", taus)) * 3:
+        found = [_climbed(one, name, grid, seen) for one in found]
+    best = max(found, key=lambda one: seen(one)[0])
+    sigma = max(seen(best)[1], _FINEST_RAD)
+    share = (seen(best)[1] / sigma) ** 2
     return replace(best, sigma_rad=sigma, torque=share * best.torque, rate=share * best.rate)
 
 
 def _climbed(
-    noise: MomentumNoise, name: str, grid: Sequence[float], likelihood: Callable[[MomentumNoise], float]
+    noise: MomentumNoise, name: str, grid: Sequence[float], seen: Callable[[MomentumNoise], tuple[float, float]]
 ) -> MomentumNoise:
     """The best along one axis of the grid, or the first that is as good: coarse first, then beside the best."""
-    places = sorted({*range(0, len(grid), _NEAR), grid.index(getattr(noise, name)), len(grid) - 1})
+    places = sorted({*range(0, len(grid), 4), grid.index(getattr(noise, name)), len(grid) - 1})
     while True:
-        heights = [likelihood(replace(noise, **{name: grid[place]})) for place in places]
+        heights = [seen(replace(noise, **{name: grid[place]}))[0] for place in places]
         best = min(place for place, height in zip(places, heights, strict=True) if height >= max(heights) - CLOSE)
         beside = [place for place in (best - 1, best + 1) if 0 <= place < len(grid) and place not in places]
         if not beside:
@@ -211,14 +196,16 @@ def _likelihood(
     # Only what Q makes of one vector is wanted, not Q: half the time.
     along, R, _ = qr_multiply(design, white, mode="right", pivoting=True)
     size = np.abs(np.diag(R))
-    kept = size > _SURE * max(float(size.max(initial=0.0)), 1e-300)
+    # Images are differences of two flights, right to 1e-8: a combination of them with less is not known to a thousandth.
+    kept = size > 1e-5 * max(float(size.max(initial=0.0)), 1e-300)
     free = max(whitener.measured - int(kept.sum()), 1)
     whole = float(white @ white)
     chi2 = max(whole - float(along[kept] @ along[kept]), 1e-14 * whole, 1e-300)  # not less than rounding
     sigma = float(np.sqrt(chi2 / free))
     value = -0.5 * (whitener.log_determinant + 2.0 * float(np.log(size[kept]).sum()) + free * np.log(chi2 / free))
     value += prior.log_density(prior.sigma_nT, sigma, noise.tau_s)
-    value -= _PLAIN * sum(np.log10(ratio / _RATIOS[1]) for ratio in (noise.torque, noise.rate) if ratio)
+    # A decade costs a half: where the data do not say, little moves the body unrecorded.
+    value -= 0.5 * sum(np.log10(ratio / _RATIOS[1]) for ratio in (noise.torque, noise.rate) if ratio)
     return float(value), sigma
 
 
@@ -291,7 +278,7 @@ def unresolved(windows: Windows) -> FloatArray:
     parts: list[FloatArray] = []
     if not arcs.resolved:
         vehicle, axes = arcs.craft.vehicle, np.eye(3)
-        for span in _SPANS:
+        for span in (3, 9):  # rows over which their quick part is separated from the slow one
             known = np.nan_to_num(arcs.wheels_B)
             quick = known - uniform_filter1d(known, span, axis=0, mode="nearest")
             parts += [arcs.flown(vehicle, wheels_B=quick * axis) - arcs.base for axis in axes if np.any(quick * axis)]
@@ -566,10 +553,9 @@ def _by_readings_km(result: SearchResult, whitener: Whitener, place: int) -> tup
     effect, theta = result.chosen[place]
     if effect.name == _AHEAD:
         return float(theta[0]), float(result.named[place].sigma[0])
-    image = next(c.jacobian for c in result.candidates if c.name == _AHEAD)
-    first = sum(len(each) for _, each in (*result.modelled, *result.chosen[:place]))
-    own = slice(first, first + len(theta))
-    target = result.residual_white + result.jacobian_white[:, :, own] @ theta
-    rest = np.delete(result.jacobian_white, np.r_[own], axis=2)
+    image, fit = next(c.jacobian for c in result.candidates if c.name == _AHEAD), result.fit
+    own = next(part for part, (one, _) in zip(fit.slices(), fit.chosen, strict=True) if one is effect)
+    target = fit.residual + fit.jacobian[:, :, own] @ theta
+    rest = np.delete(fit.jacobian, np.r_[own], axis=2)
     value, sigma = solved(np.concatenate([rest, whitener.apply(image)], axis=2), target)
     return float(value[-1]), float(sigma[-1])

@@ -34,18 +34,7 @@ from fluxtwin.sim.spacecraft.wheels import RPM_PER_RAD_S
 
 WINDOW_S = 2000.0
 """A third of an orbit: what turns with the orbit or with the field shows within it."""
-_MOST_NODES, _MOST_IN_A_WINDOW, _FEWEST_IN_A_WINDOW = 2400, 120, 8
-_SLOW = 9
-"""Columns of the slow torque that a motion is followed with: a parabola along three axes."""
-_STEP_RAD = 0.15
-"""A Runge-Kutta step turns by less: its error is then a millionth of a radian an arc, or less."""
-_NUTATION_RAD = 0.3
-"""The same of a nutation, which is small."""
-_STEP_S = 30.0
-_MOST_PARTS = 40
-_TURN_RAD = 1e-5
-_RATE_RAD_S = 1e-6
-"""By these the start is moved for derivatives: far above rounding, far below anything that is not linear."""
+_MOST_IN_A_WINDOW = 120
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,9 +189,10 @@ class Arcs:
     @cached_property
     def transition(self) -> FloatArray:
         """(A, 6, 6) derivative of the end by the start: turn [rad], momentum [N m s]."""
-        size = float(np.linalg.eigvalsh(self.craft.vehicle.inertia_kg_m2).max()) * _RATE_RAD_S
         vehicle, axes = self.craft.vehicle, np.eye(3)
-        columns = [(self.flown(vehicle, turn=_TURN_RAD * axis) - self.base) / _TURN_RAD for axis in axes]
+        # Far above rounding, far below anything that is not linear: the second is a rate of 1e-6 rad/s.
+        turn, size = 1e-5, 1e-6 * float(np.linalg.eigvalsh(vehicle.inertia_kg_m2).max())
+        columns = [(self.flown(vehicle, turn=turn * axis) - self.base) / turn for axis in axes]
         columns += [(self.flown(vehicle, push=size * axis) - self.base) / size for axis in axes]
         return np.stack(columns, axis=2)
 
@@ -237,7 +227,7 @@ def arcs(problem: Problem, craft: Craft, orbit: tuple[FloatArray, FloatArray]) -
     if numbers.size < 30:
         return "too few rows have attitude, wheel speeds and dipole"
     usual = float(np.median(np.diff(t[numbers])))
-    every = max(int(np.ceil(WINDOW_S / _MOST_IN_A_WINDOW / usual - 1e-6)), int(np.ceil(numbers.size / _MOST_NODES)), 1)
+    every = max(int(np.ceil(WINDOW_S / _MOST_IN_A_WINDOW / usual - 1e-6)), int(np.ceil(numbers.size / 2400)), 1)
     rows_of_arcs = _rows_of_arcs(numbers, attitude_track.stretches(t[numbers]), every)
     if not rows_of_arcs.size:
         return "the record has no stretch without gaps that is long enough"
@@ -248,8 +238,9 @@ def arcs(problem: Problem, craft: Craft, orbit: tuple[FloatArray, FloatArray]) -
     momentum_B = rate @ np.asarray(craft.vehicle.inertia_kg_m2) + wheels_B
     least = float(np.linalg.eigvalsh(craft.vehicle.inertia_kg_m2).min())
     nutation = float(np.linalg.norm(momentum_B[numbers], axis=1).max()) / least
-    parts = int(np.ceil(max(fastest / _STEP_RAD, nutation / _NUTATION_RAD, 1.0 / _STEP_S) * longest))
-    if parts > _MOST_PARTS:
+    # A Runge-Kutta step turns by less: its error is then a millionth of a radian an arc, or less. A nutation is small.
+    parts = int(np.ceil(max(fastest / 0.15, nutation / 0.3, 1.0 / 30.0) * longest))
+    if parts > 40:
         return f"between two rows the body turns or nutates too far to be followed ({np.degrees(fastest * longest):.0f} deg)"
     momentum_N = np.asarray(track.inv().apply(momentum_B))
     resolved = max(usual, *spacing_s) < 1.01 * craft.tick_s
@@ -339,16 +330,12 @@ class Windows:
         """(M,) rows of the problem."""
         return np.concatenate([window.rows for window in self.windows])
 
-    @cached_property
-    def led(self) -> FloatArray:
-        """(M, 3) where the balance leads from each window's first point of the track, against the track [rad]."""
-        return np.asarray(self.chained(self.arcs.base[:, :, None])[:, :, 0])
-
     def residual(self, R_BN: Rotation | None = None) -> FloatArray:
-        """(M, 3) attitude less where the balance leads [rad]; R_BN: of all rows, default as recorded."""
+        """(M, 3) attitude less where the balance leads from each window's first point of the track [rad]; R_BN: of all rows,
+        default as recorded."""
         given = self.arcs.problem.setting.given[2] if R_BN is None else R_BN
         turned = (given[self.rows] * self.arcs.track[self.rows].inv()).as_rotvec()
-        return np.asarray(turned - self.led)
+        return np.asarray(turned - self.chained(self.arcs.base[:, :, None])[:, :, 0])
 
     def chained(self, forcing: FloatArray) -> FloatArray:
         """(M, 3, p) turns of the nodes by what happens in the arcs, forcing (A, 6, p)."""
@@ -374,7 +361,7 @@ class Windows:
         test. slow: with a torque beside, a parabola in N, which brings it to where the body was even where an effect
         turns it far from the balance.
         """
-        columns = _SLOW if slow else 0
+        columns = 9 if slow else 0  # a parabola along three axes
         turn, momentum = np.zeros((self.arcs.problem.rows, 3)), np.array(self.arcs.momentum_N)
         residual = self.residual()
         for window in self.windows:
@@ -439,7 +426,7 @@ def windows(arcs: Arcs) -> Windows | str:
         least = 2 if len(edges) == 2 else 1  # one window alone has nothing to be held against
         count = max(round(span / WINDOW_S), int(np.ceil(nodes.size / _MOST_IN_A_WINDOW)), least)
         for part in np.array_split(np.arange(nodes.size), count):
-            if part.size >= _FEWEST_IN_A_WINDOW:
+            if part.size >= 8:
                 rows = nodes[part]
                 place = slice(at, at + part.size)
                 found.append(Window(begin + int(part[0]), rows, np.asarray(seconds[rows]), place))

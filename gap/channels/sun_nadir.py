@@ -43,20 +43,7 @@ from fluxtwin.sim.effects.chain import Active
 from fluxtwin.sim.effects.clock_and_orbit import AlongTrackError
 from fluxtwin.sim.telemetry.record import Telemetry
 
-FEWEST_PASSES = 8
-_FEWEST_TO_CONTRADICT = 4
-LEAST_EXPLAINED = 0.02
-"""What explains less is not named: the rounding of a digital head repeats from pass to pass and looks like a fault."""
-_RIVAL = 0.9
-"""A hypothesis that explains this share of what the best does cannot be distinguished from it."""
-_MEMORY_S = 150.0
-_MOST_ROWS = 100_000
 _STEP_RAD = 1e-5
-_SIGNS, _SEED = 20_000, 3
-_ROUNDING = 1e-9
-_SEEN_RAD = float(np.radians(0.1))
-"""Directions of a hypothesis that would come out worse than this (1 sigma, white errors) are not estimated."""
-
 
 Key = tuple[str, int | None]
 Designs = dict[Key, tuple[tuple[str, ...], FloatArray]]
@@ -118,14 +105,15 @@ class SunNadir:
     def named(self) -> Hypothesis | None:
         """The best hypothesis if it is real, else None: the attitude sensors agree with each other."""
         best = self.hypotheses[0]
-        return best if best.worth > THRESHOLD and best.explained >= LEAST_EXPLAINED else None
+        # The rounding of a digital head repeats from pass to pass and looks like a fault that explains little.
+        return best if best.worth > THRESHOLD and best.explained >= 0.02 else None
 
     @property
     def rivals(self) -> tuple[Hypothesis, ...]:
-        """Others that explain nearly as much as the named one."""
+        """Others that explain nearly as much as the named one, and so cannot be distinguished from it."""
         if self.named is None:
             return ()
-        least = _RIVAL * self.named.explained
+        least = 0.9 * self.named.explained
         return tuple(h for h in self.hypotheses[1:] if h.worth > THRESHOLD and h.explained >= least)
 
     @property
@@ -248,7 +236,7 @@ class Channel:
         """Whether a predicted change (N,) is not there: t tests of none and of all of it, over the passes that would show
         it."""
         touched = np.unique(self.of_row[predicted_rad != 0.0])
-        if touched.size < _FEWEST_TO_CONTRADICT:
+        if touched.size < 4:
             return False
         share = np.array([float(predicted_rad @ self.residual_rad) / float(np.sum(predicted_rad**2))])
         sigma = np.sqrt(_jackknife(predicted_rad[:, None], self.residual_rad, self.of_row, touched, share)[0, 0])
@@ -256,7 +244,7 @@ class Channel:
         return none > FALSE_ALARM and whole < FALSE_ALARM and bool(share[0] < 1.0)
 
 
-def open_channel(telemetry: Telemetry, *, fewest: int = FEWEST_PASSES) -> Channel:
+def open_channel(telemetry: Telemetry, *, fewest: int = 8) -> Channel:
     """The channel of a record, to weigh a biased scanner (constant, and with latitude) and each turned head.
 
     Gaps in time divide it into passes with a common error, and in a record with few gaps stretches of ten minutes are taken.
@@ -264,9 +252,9 @@ def open_channel(telemetry: Telemetry, *, fewest: int = FEWEST_PASSES) -> Channe
     for fewer than `fewest` passes with both.
     """
     rows = sun_and_nadir(telemetry)
-    if rows.size > _MOST_ROWS:
-        rows = rows[np.linspace(0, rows.size - 1, _MOST_ROWS).astype(int)]
-    of_row = make_blocks(telemetry.time[rows], _MEMORY_S) if rows.size else np.zeros(0, dtype=int)
+    if rows.size > 100_000:
+        rows = rows[np.linspace(0, rows.size - 1, 100_000).astype(int)]
+    of_row = make_blocks(telemetry.time[rows], 150.0) if rows.size else np.zeros(0, dtype=int)
     count = int(of_row.max()) + 1 if rows.size else 0
     if count < fewest:
         raise NoAnswer(
@@ -330,7 +318,7 @@ def _weigh(
     statistic is Hotelling's."""
     values, vectors = np.linalg.eigh(J.T @ J)
     white = float(np.sqrt(np.mean(residual**2)))
-    seen = vectors[:, values > (white / _SEEN_RAD) ** 2]
+    seen = vectors[:, values > (white / np.radians(0.1)) ** 2]  # others would come out worse (1 sigma, white errors)
     if not seen.size:
         nothing = dict.fromkeys(names, EffectParameter(0.0, 0.0, "deg"))
         return Hypothesis(*key, nothing, 1.0, 0.0, 0.0, float(np.degrees(white)))
@@ -374,11 +362,11 @@ def _by_signs(scores: FloatArray, inverse: FloatArray) -> float:
     scores (n, k) of the passes. Few passes are far from Hotelling's distribution where they are unequal; the signs of errors
     that know nothing of each other are free (Cameron, Gelbach & Miller 2008, Review of Economics and Statistics 90, 414).
     """
-    signs = np.random.default_rng(_SEED).choice([-1.0, 1.0], (_SIGNS, len(scores)))
+    signs = np.random.default_rng(3).choice([-1.0, 1.0], (20_000, len(scores)))
     drawn = signs @ scores
     explained, all_as_they_are = np.einsum("ni,ij,nj->n", drawn, inverse, drawn), scores.sum(axis=0)
     # All signs turned explain exactly as much: that is these errors again, to rounding.
-    return float(np.mean(explained > (1.0 + _ROUNDING) * (all_as_they_are @ inverse @ all_as_they_are)))
+    return float(np.mean(explained > (1.0 + 1e-9) * (all_as_they_are @ inverse @ all_as_they_are)))
 
 
 def _jackknife(
@@ -396,7 +384,7 @@ def _jackknife(
     return np.asarray((len(passes) - 1) / len(passes) * shift.T @ shift)
 
 
-def channel_of(telemetry: Telemetry, frozen: Sequence[Active] = ()) -> Channel | None:
+def channel_of(telemetry: Telemetry, frozen: Sequence[Active]) -> Channel | None:
     """The channel with what the scenario's own effects do to it taken out; None where a record has no such channel."""
     if telemetry.sun_B is None or telemetry.nadir_B is None or telemetry.r_N_km is None:
         return None

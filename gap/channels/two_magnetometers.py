@@ -16,36 +16,10 @@ from fluxtwin.calib.common.conventions import of_S
 from fluxtwin.gap.hypotheses.blocks import OWN_STAGES
 from fluxtwin.gap.linear.projection import ProjectedResidual, explained_in_units, orthonormal, projected
 from fluxtwin.gap.noise.robust_rows import CUT_SIGMA, standing_out
+from fluxtwin.gap.noise.whitening import NoiseModel, Whitener, make_whitener
 from fluxtwin.gap.problem.problem import DEFAULT_MODELLED, Problem
 from fluxtwin.gap.selection.criterion import SHAPE, THRESHOLD
 from fluxtwin.sim.base.types import BoolArray, FloatArray
-
-_FEWEST_ROWS = 50
-"""Of which both have a reading: four for each of the twelve parameters of a relative calibration."""
-_FURTHEST = 2.0
-"""Times the first one's, or a part of it: what the second may make of a field in any direction. One that makes nothing of it
-is dead, or in another unit."""
-_SAME_NT = 0.01
-"""Of noise between them: less is the rounding of single precision (4 pT at 50 uT), and the second a copy of the first."""
-_SURE = 3.0
-"""Standard errors."""
-
-
-@dataclass(frozen=True)
-class _White:
-    """White noise of each axis, over the rows that both sensors have."""
-
-    sigma_nT: FloatArray
-    kept: BoolArray
-    """(N, 3)"""
-
-    @property
-    def measured(self) -> int:
-        return int(self.kept.sum())
-
-    def apply(self, columns: FloatArray) -> FloatArray:
-        scale = np.where(self.kept, 1.0 / self.sigma_nT, 0.0)
-        return columns * (scale if columns.ndim == 2 else scale[:, :, None])
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +85,7 @@ def apart(problem: Problem) -> Apart | None:
     if second is None:
         return None
     both: BoolArray = np.asarray(np.isfinite(second).all(axis=1))
-    if both.sum() < _FEWEST_ROWS:
+    if both.sum() < 50:  # four for each of the twelve parameters of a relative calibration
         return None
     difference = np.where(both[:, None], first - second, 0.0)
     field_B_nT = problem.design.signal([*problem.frozen, *problem.modelled_active]).field_B_nT
@@ -123,7 +97,7 @@ def apart(problem: Problem) -> Apart | None:
     relative_S = size[:9, 0].reshape(3, 3)
     second_of_first = np.eye(3) - relative_S
     gain = np.linalg.svd(second_of_first, compute_uv=False)
-    if gain.max() > _FURTHEST or gain.min() < 1.0 / _FURTHEST:
+    if gain.max() > 2.0 or gain.min() < 0.5:  # in some direction: it is dead, or in another unit
         return None
     own = np.zeros_like(difference)
     own[both] = (both_nT[:, 1] - columns @ size[:, 1]).reshape(-1, 3)
@@ -134,15 +108,24 @@ def apart(problem: Problem) -> Apart | None:
     fitted = np.concatenate([relative, problem.derivatives(beside)], axis=2)
     kept = np.repeat(both[:, None], 3, axis=1)
     for _ in range(2):  # with the outliers, and without
-        rest = projected(_White(np.ones(3), kept), difference, fitted).residual.reshape(-1, 3)
+        rest = projected(_white(problem, np.ones(3), kept), difference, fitted).residual.reshape(-1, 3)
         kept = kept & (standing_out(rest, measured=kept) <= CUT_SIGMA)
-    sigma_nT = np.array([_of_steps(rest[there, axis]) for axis, there in enumerate(kept.T)])
+    # From steps from row to row: what is slow has no part in them.
+    sigma_nT = np.array([np.std(np.diff(rest[there, axis])) / np.sqrt(2.0) for axis, there in enumerate(kept.T)])
     rows = kept.all(axis=1)
-    if not np.min(sigma_nT) > _SAME_NT or _is_copy(*(_steps_along(x[rows], field_B_nT[rows]) for x in (own, rest))):
+    # Less noise between them is the rounding of single precision (4 pT at 50 uT).
+    if not np.min(sigma_nT) > 0.01 or _is_copy(*(_steps_along(x[rows], field_B_nT[rows]) for x in (own, rest))):
         return None
-    left = projected(_White(sigma_nT, kept), difference, fitted)
+    left = projected(_white(problem, sigma_nT, kept), difference, fitted)
     rms_nT = float(np.sqrt(np.sum(rest[kept] ** 2) / left.degrees))
     return Apart(left, rms_nT, float(np.sqrt(np.mean(sigma_nT**2))))
+
+
+def _white(problem: Problem, sigma_nT: FloatArray, kept: BoolArray) -> Whitener:
+    """White noise of each axis (3,), over the components (N, 3) that both sensors have."""
+    noise = NoiseModel(1.0, 0.0, 0.0, axis_factor=(float(sigma_nT[0]), float(sigma_nT[1]), float(sigma_nT[2])))
+    geometry = (np.zeros((problem.rows, 3, 3)), problem.setting.seconds, problem.segment)
+    return make_whitener(*geometry, noise, kept.astype(np.float64))
 
 
 def _steps_along(values_nT: FloatArray, field_B_nT: FloatArray) -> FloatArray:
@@ -171,9 +154,4 @@ def _has_none_of(difference: FloatArray, own: FloatArray) -> bool:
     left = difference - share * own
     # neighbouring steps have a row in common: their products correlate by 1/4, on either side
     error = float(np.sqrt(1.5 * (left @ left) / (len(own) * square)))
-    return abs(share) < _SURE * error < 1.0 - share
-
-
-def _of_steps(values: FloatArray) -> float:
-    """1 sigma of the noise of a series, from its steps from row to row: what is slow has no part in them."""
-    return float(np.std(np.diff(values)) / np.sqrt(2.0)) if values.size > 1 else 0.0
+    return abs(share) < 3.0 * error < 1.0 - share

@@ -22,8 +22,6 @@ from fluxtwin.sim.earth.field import field_N_nT
 from fluxtwin.sim.effects.base import Effect, SignalEffect
 from fluxtwin.sim.effects.signal import Setting
 
-_LEAST_TAIL = 0.5  # excess kurtosis that is passed over: real noise is not quite Gaussian
-
 
 @dataclass(frozen=True, eq=False)
 class Finding:
@@ -171,6 +169,7 @@ def does_as_well(own: float, given: Fitted, rivals: Sequence[BlockFit]) -> list[
 
 
 def gaussian(values: FloatArray) -> bool:
-    """Whether values of mean zero have the tails of a Gaussian: the kurtosis of n of them scatters by sqrt(24 / n)."""
+    """Whether values of mean zero have the tails of a Gaussian: the kurtosis of n of them scatters by sqrt(24 / n), and real
+    noise is not quite Gaussian."""
     kurtosis = float(np.mean(values**4) / np.mean(values**2) ** 2) - 3.0
-    return abs(kurtosis) <= max(4.0 * float(np.sqrt(24.0 / values.size)), _LEAST_TAIL)
+    return abs(kurtosis) <= max(4.0 * float(np.sqrt(24.0 / values.size)), 0.5)

@@ -27,10 +27,6 @@ from fluxtwin.sim.effects.signal import Setting
 from fluxtwin.sim.effects.spacecraft_field import WheelField
 from fluxtwin.sim.telemetry.record import Telemetry
 
-_FINE = 8  # grid cells a sample spacing for uneven stamps: the phase error at the highest line is 0.2 rad at most
-_LONGEST = 1 << 23  # grid cells: half a gigabyte
-_FIRST_WIDTH = 0.35  # over the span
-_RATIOS = (2.0, 3.0, 4.0, 5.0, 6.0, 0.5, 1.0 / 3.0)
 MOST_ROWS_FAST = 60_000
 """Of the stretch: its Jacobians, their whitened and orthonormal copies take about a third of a gigabyte."""
 
@@ -57,7 +53,7 @@ def strongest_line(seconds: FloatArray, left: ProjectedResidual) -> Line:
 
 def line_near(seconds: FloatArray, left: ProjectedResidual, frequency: float) -> Line:
     """The strongest line within a third of a cycle over the record of a frequency in Hz."""
-    width = _FIRST_WIDTH / float(seconds[-1] - seconds[0])
+    width = 0.35 / float(seconds[-1] - seconds[0])
     for steps in (3, 1, 1):
         tried = frequency + width * np.arange(-steps, steps + 1) / steps
         energies = [fitted(left, line_columns(seconds, f)).energy for f in tried]
@@ -87,10 +83,10 @@ def _peak(seconds: FloatArray, series: FloatArray) -> float | None:
         return None
     spacing = float(np.median(steps))
     even = bool(np.all(np.abs(steps / spacing - np.rint(steps / spacing)) < 0.02))
-    cell = spacing if even else spacing / _FINE
+    cell = spacing if even else spacing / 8  # the phase error at the highest line is 0.2 rad at most
     cells = int(np.ceil(span / cell)) + 1
     length = 1 << int(np.ceil(np.log2(2 * cells)))
-    if length > _LONGEST:
+    if length > 1 << 23:  # half a gigabyte
         return None
     grid = np.zeros((length, 3))
     np.add.at(grid, np.rint((seconds - seconds[0]) / cell).astype(int), series)
@@ -153,7 +149,8 @@ def companion(setting: Setting, left: ProjectedResidual, line: Line, effect: Eff
     if phase is None or line.worth <= THRESHOLD:
         return False
     columns = line_columns(setting.seconds, line.frequency_Hz)
-    return not all(stands_out(left, _waves(ratio * phase), columns) for ratio in _RATIOS)
+    ratios = (2.0, 3.0, 4.0, 5.0, 6.0, 0.5, 1.0 / 3.0)
+    return not all(stands_out(left, _waves(ratio * phase), columns) for ratio in ratios)
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,8 +166,6 @@ class FullRate:
     """(n, 3, q) its Jacobian."""
     left: ProjectedResidual
     line: Line
-    slow_Hz: float
-    """Highest frequency that the evenly spaced rows show as it is."""
 
 
 def full_rate(
@@ -182,7 +177,6 @@ def full_rate(
     """
     if any(hasattr(effect, "sequence") and effect.sequence for effect, _ in chosen):
         return None
-    setting = problem.setting
     near = _stretch(whole, problem, modelled, chosen)
     residual = near.residual_of([*modelled, *chosen])
     fitted = near.derivatives([*modelled, *chosen])
@@ -190,8 +184,7 @@ def full_rate(
     whitener = whitener_of(near, noise, robust.weights)
     left = projected(whitener, residual, fitted)
     line = strongest_line(near.setting.seconds, left)
-    slow_Hz = 0.5 / float(np.median(np.diff(setting.seconds)))
-    return FullRate(near, robust, whitener, residual, fitted, left, line, slow_Hz)
+    return FullRate(near, robust, whitener, residual, fitted, left, line)
 
 
 def _stretch(whole: Telemetry, problem: Problem, modelled: Sequence[Active], chosen: Sequence[Active]) -> Problem:
@@ -200,12 +193,10 @@ def _stretch(whole: Telemetry, problem: Problem, modelled: Sequence[Active], cho
     near = pose(
         whole.select(slice(first, first + MOST_ROWS_FAST)),
         problem.setting.model,
-        modelled=[effect.name for effect in problem.modelled],
+        modelled=(),
         budget=problem.budget,
         instrument=problem.setting.instrument,
         frozen=problem.frozen,
     )
-    thetas = {effect.name: theta for effect, theta in modelled}
-    about = tuple(thetas[effect.name] for effect in problem.modelled)
-    near = replace(near, modelled=problem.modelled, modelled_theta=about)
+    near = replace(near, modelled=problem.modelled, modelled_theta=tuple(theta for _, theta in modelled))
     return realigned(near, beside=[*modelled, *chosen])

@@ -19,18 +19,13 @@ from fluxtwin.gap.selection.criterion import THRESHOLD
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.calibration import BiasRandomWalk
 
-_MODES_A_ROOT = 4.0  # times the root of the rows: beyond, a walk of three times the noise is below it
-_FEWEST, _MOST = 24, 160
-_SIZES = np.geomspace(RMS[0], RMS[1], 60)
-"""Spreads of the walk at the end of the record over the noise of a reading."""
-_KNOTS = 48
-"""Increments of the walk that are looked at."""
 _COME_BACK = (8.0, 16.0)  # half periods over the record
 
 
 def random_walk(seconds: FloatArray, left: ProjectedResidual, sigma_nT: float) -> Finding | None:
     """A walk in a whitened residual; None where there is nothing slow at all. sigma_nT: the noise unit."""
-    if seconds.size < 2 * _KNOTS:
+    knots = 48  # increments of the walk that are looked at
+    if seconds.size < 2 * knots:
         return None
     shapes = modes_of_a_walk(seconds)
     columns, _ = left.project(in_body(shapes))
@@ -39,7 +34,7 @@ def random_walk(seconds: FloatArray, left: ProjectedResidual, sigma_nT: float) -
     # The noise level is that of what no walk explains: a level that was declared wrong is no walk.
     variance = (left.energy - float(q @ q)) / max(left.degrees - q.size, 1)
     gram, moment = gram / variance, moment / variance
-    sizes = _SIZES * sigma_nT / np.sqrt(float(seconds[-1] - seconds[0]))
+    sizes = np.geomspace(*RMS, 60) * sigma_nT / np.sqrt(float(seconds[-1] - seconds[0]))
     rate, value = _evidence(gram, moment, sizes)
     if value <= THRESHOLD:
         return None
@@ -48,7 +43,7 @@ def random_walk(seconds: FloatArray, left: ProjectedResidual, sigma_nT: float) -
         for k in _COME_BACK
         if _evidence(*_returning(gram, moment, k), sizes)[1] > value - THRESHOLD
     ]
-    at = np.linspace(0, seconds.size - 1, _KNOTS + 1).astype(int)
+    at = np.linspace(0, seconds.size - 1, knots + 1).astype(int)
     if _one_stands_out(gram, moment, rate, np.diff(shapes[at], axis=0)):
         faults.append("one of its steps stands out")
     if jumps(seconds, left, rate, float(variance)):
@@ -126,6 +121,7 @@ def modes_of_a_walk(seconds: FloatArray) -> FloatArray:
     """
     begin = float(seconds[0])
     span = float(seconds[-1]) - begin
-    count = int(np.clip(_MODES_A_ROOT * np.sqrt(seconds.size), _FEWEST, min(_MOST, max(seconds.size // 2, _FEWEST))))
+    # Beyond four times the root of the rows a walk of three times the noise is below it.
+    count = int(min(4.0 * np.sqrt(seconds.size), 160, seconds.size // 2))
     waves = np.pi * (np.arange(count) + 0.5)
     return np.asarray(np.sqrt(2.0 * span) * np.sin(waves * (seconds - begin)[:, None] / span) / waves)

@@ -29,9 +29,6 @@ from fluxtwin.gap.problem.problem import Problem
 from fluxtwin.gap.selection.criterion import SHAPE_DIRECTIONS, THRESHOLD, worth
 from fluxtwin.sim.base.types import FloatArray
 
-NOISE_TOLERANCE = 1.15**2
-"""How much larger the noise energy at long scales may be than at short ones before it is called drift: the slow
-part of the attitude error, which the whitening cannot know better than to 15 % rms."""
 PARTS = (2, 5)
 
 
@@ -70,11 +67,7 @@ class Structure:
 
 
 def residual_structure(
-    problem: Problem,
-    whitener: Whitens,
-    residual_nT: FloatArray,
-    fitted: FloatArray,
-    found: Dictionary | None = None,
+    problem: Problem, whitener: Whitens, residual_nT: FloatArray, fitted: FloatArray, found: Dictionary | None = None
 ) -> Structure:
     """Search a residual for structure.
 
@@ -158,8 +151,10 @@ def drift(left: ProjectedResidual) -> tuple[float, float]:
     """log10 p-value of too much energy at long scales, and the excess.
 
     Means over blocks of 4, 16, 64, ... samples (an Allan-like scale) hold a known share of the energy of white
-    noise; the fitted columns' share is taken out exactly. F against the rest, less a tolerance.
+    noise; the fitted columns' share is taken out exactly. F against the rest, less a tolerance: the slow part of the
+    attitude error, which the whitening cannot know better than to 15 % rms.
     """
+    tolerance = 1.15**2
     series = left.residual.reshape(-1, 3)
     rows = series.shape[0]
     lengths = [length for length in (4**n for n in range(1, 10)) if rows // length >= 6]
@@ -173,9 +168,9 @@ def drift(left: ProjectedResidual) -> tuple[float, float]:
         if degrees < 3 or spare < 10:
             continue
         rest = max((left.energy - energy) / spare, 1e-300)
-        ratio = (energy / degrees) / rest / NOISE_TOLERANCE
+        ratio = (energy / degrees) / rest / tolerance
         if ratio > 1:
-            found.append((log10_sf_f(ratio, degrees, spare), energy / max(rest, 0.25) - degrees * NOISE_TOLERANCE))
+            found.append((log10_sf_f(ratio, degrees, spare), energy / max(rest, 0.25) - degrees * tolerance))
     log10_p, excess = min(found)
     return min(float(log10_p + np.log10(max(len(lengths), 1))), 0.0), excess
 

@@ -33,20 +33,11 @@ from fluxtwin.sim.effects.drivers import lit
 from fluxtwin.sim.effects.signal import Setting
 from fluxtwin.sim.effects.switched_field import HeaterSwitching, SwitchedField
 
-_HALF_SIZES_DEG = (12.0, 20.0)
-_MOVES_DEG = (1.0, 3.0, 9.0)
-_REFINEMENTS = 6
 _FEWEST_ROWS = 20
-_EDGES = 4  # of a box, estimated with the field
-_MOST_OF_DARK = 0.5
-"""Share of the dark rows that a region may have: beyond it, it is not the place that matters."""
 
 Box = tuple[float, float, float, float]
 _ROUNDS = 8
 _MOST_SWITCHES = 150
-_TELEGRAPHS, _SEED = 400, 20
-_SHARES = (0.25, 0.5, 0.75)  # of the rows in the lower level, to begin with
-_MOVES = ((-1, 0), (0, 1), (-3, 0), (0, 3))  # rows about an edge
 
 
 @dataclass(frozen=True)
@@ -81,8 +72,8 @@ def switched_region(problem: Problem, left: ProjectedResidual, rivals: Sequence[
     condition, box = best
     effect = SwitchedField(condition, region_deg=box)
     images = problem.derivatives([(effect, np.zeros(3))])
-    found = fitted(left, images, _EDGES)
-    value = found.worth(float(np.log(len(search.known))), _EDGES)
+    found = fitted(left, images, 4)  # the edges are estimated with the field
+    value = found.worth(float(np.log(len(search.known))), 4)
     if value <= THRESHOLD:
         return None
     faults = does_as_well(value, found, rivals)
@@ -111,7 +102,7 @@ class _Search:
         if not trials:
             return None
         condition, box = max(trials, key=lambda trial: self._gain(*trial))
-        for _ in range(_REFINEMENTS):
+        for _ in range(6):
             moved = max(_moved(box), key=lambda one: self._gain(condition, one))
             if self._gain(condition, moved) <= self._gain(condition, box) + 1e-9:
                 break
@@ -120,9 +111,10 @@ class _Search:
         return condition, _snug(self.place, box, self.place.on(condition, box))
 
     def _gain(self, condition: str, box: Box) -> float:
-        """Drop of chi-square; nothing by a box of too few rows, or of most of those in the dark."""
+        """Drop of chi-square; nothing by a box of too few rows, or of most of those in the dark, as the place does
+        not matter then."""
         on = self.place.on(condition, box)
-        if not _FEWEST_ROWS <= on.sum() <= _MOST_OF_DARK * self.place.dark[condition].sum():
+        if not _FEWEST_ROWS <= on.sum() <= 0.5 * self.place.dark[condition].sum():
             return 0.0
         key = on.tobytes()
         if key not in self.known:
@@ -147,7 +139,7 @@ def _coarse(place: _Place) -> Iterator[tuple[str, Box]]:
     """
     for condition, dark in list(place.dark.items())[:1]:
         points = np.stack([place.latitude[dark], place.longitude[dark]], axis=1)
-        for half in _HALF_SIZES_DEG:
+        for half in (12.0, 20.0):
             for latitude, longitude in (half * np.unique(np.rint(points / half), axis=0)).tolist():
                 wide = min(half / max(np.cos(np.radians(latitude)), 0.2), 90.0)
                 yield condition, _box(latitude - half, latitude + half, longitude - wide, longitude + wide)
@@ -160,7 +152,7 @@ def _box(south: float, north: float, west: float, east: float) -> Box:
 def _moved(box: Box) -> Iterator[Box]:
     """The box with one edge moved."""
     for edge in range(4):
-        for move in (*_MOVES_DEG, *(-m for m in _MOVES_DEG)):
+        for move in (1.0, 3.0, 9.0, -1.0, -3.0, -9.0):
             south, north, west, east = (value + (move if place == edge else 0.0) for place, value in enumerate(box))
             if south < north and west < east < west + 360.0:
                 yield _box(south, north, west, east)
@@ -221,7 +213,7 @@ def _sequence(seconds: FloatArray, left: ProjectedResidual, rest_nT: FloatArray,
         # Two levels in turn have a line along their field.
         waves = fitted(left, line_columns(seconds, line.frequency_Hz)).size.reshape(2, 3)
         directions.append(np.linalg.svd(waves)[2][0])
-    first = [_viterbi(rest_nT @ along, None, share) for along in directions for share in _SHARES]
+    first = [_viterbi(rest_nT @ along, None, share) for along in directions for share in (0.25, 0.5, 0.75)]
     distinct = sorted({on.tobytes(): on for on in first}.values(), key=lambda on: -_worth(left, on))
     climbed = [_climbed(left, rest_nT, on) for on in distinct[:2]]
     return max(climbed, key=lambda on: _worth(left, on))
@@ -269,7 +261,8 @@ def _changes(on: BoolArray) -> list[slice]:
     """Rows to turn round: each run in one state, and the rows next to each edge."""
     edges = _switches(on).tolist()
     runs = [slice(a, b) for a, b in pairwise([0, *edges, on.size])]
-    return [*runs, *(slice(max(edge + low, 0), edge + high) for edge in edges for low, high in _MOVES)]
+    about = ((-1, 0), (0, 1), (-3, 0), (0, 3))
+    return [*runs, *(slice(max(edge + low, 0), edge + high) for edge in edges for low, high in about)]
 
 
 def _viterbi(z: FloatArray, start: BoolArray | None, share: float = 0.5) -> BoolArray:
@@ -313,12 +306,12 @@ def _regularity(setting: Setting, on: BoolArray) -> float:
     """p-value of dwell times as regular as these for a random telegraph with as many switches."""
     sunlit = lit(setting) > 0.5
     observed = _scatter(setting.seconds, sunlit, _switches(on), bool(on[0]))
-    rng = np.random.default_rng(_SEED)
-    below = 0
-    for _ in range(_TELEGRAPHS):
+    rng = np.random.default_rng(20)
+    below, drawings = 0, 400
+    for _ in range(drawings):
         drawn = np.sort(rng.choice(np.arange(1, on.size), _switches(on).size, replace=False))
         below += _scatter(setting.seconds, sunlit, drawn, bool(on[0])) <= observed
-    return (below + 1) / (_TELEGRAPHS + 1)
+    return (below + 1) / (drawings + 1)
 
 
 def _scatter(seconds: FloatArray, sunlit: BoolArray, changes: NDArray[np.intp], first: bool) -> float:

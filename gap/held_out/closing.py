@@ -35,9 +35,6 @@ from fluxtwin.sim.spacecraft.sensors.magnetometer import Magnetometer
 from fluxtwin.sim.telemetry.companions import ALONG_TRACK_KM
 from fluxtwin.sim.telemetry.record import Telemetry
 
-_ROUNDS = 2
-"""A change of S by 1 % moves an effect by 1 %, so the second fit is good to 1e-4 of it."""
-
 
 @dataclass(frozen=True, eq=False)
 class Closed:
@@ -87,14 +84,15 @@ def refined(closure: Closure) -> Closure:
 def settle(closure: Closure) -> Closed:
     """S, b and T with what was re-estimated, and the effects refitted with the magnetometer that these make.
 
-    The effects of a sensor act through its matrix, so a change of S changes them a little: hence the second fit.
+    The effects of a sensor act through its matrix, so a change of S by 1 % changes them by 1 %: hence the second fit, which
+    is good to 1e-4.
     """
     problem, chosen, modelled = closure.problem, closure.chosen, closure.modelled
     covariances: list[FloatArray] = []
-    for number in range(_ROUNDS):
+    for number in range(2):
         problem = calibrated(problem, modelled)
         modelled = problem.modelled_active
-        if not chosen or number == _ROUNDS - 1:
+        if not chosen or number == 1:
             break
         fit = refit(Readings(problem, closure.whitener), chosen, modelled=modelled)
         chosen, modelled = fit.chosen, fit.modelled

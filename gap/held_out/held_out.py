@@ -10,7 +10,6 @@ record, the figures are those of the fit itself, and say so. A random walk is pr
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 from scipy.special import logsumexp
@@ -26,32 +25,12 @@ from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
 
 BLOCKS = 5
 """The usual number of folds: a compromise between bias and variance (Hastie et al. 2009, section 7.10.1)."""
-GUARD_SHARE = 0.02
-"""Of the span: rows this near to the held-out block, or as near as errors of the attitude last, are used for neither."""
-STRETCHES, DRAWS = 40, 400
+DRAWS = 400
 """Of the bootstrap: its 5 % points are good to a tenth of the spread."""
-_QUANTILES = 200
-"""Of a prior, in place of an integral over it."""
-_DIFFUSE = 1e6
-"""Variance of a level of which nothing is known yet, over that of a reading."""
 
 
-@dataclass(frozen=True, eq=False)
-class Fitted:
-    """A fit, N rows: in nT and whitened."""
-
-    residual_nT: FloatArray
-    """(N, 3)."""
-    columns_nT: FloatArray
-    """(N, 3, P) Jacobian of what is fitted."""
-    residual: FloatArray
-    columns: FloatArray
-
-    @classmethod
-    def of(cls, problem: Problem, whitener: Whitens, residual_nT: FloatArray, columns_nT: FloatArray) -> Fitted:
-        """From a residual (N, 3) and what is fitted (N, 3, P), both in body axes."""
-        plain = (problem.in_row_axes(residual_nT), problem.in_row_axes(columns_nT))
-        return cls(*plain, whitener.apply(residual_nT), whitener.apply(columns_nT) if columns_nT.size else columns_nT)
+_Fit = tuple[FloatArray, FloatArray]
+"""A residual (N, 3), and what is fitted (N, 3, P), both in body axes [nT]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,8 +53,8 @@ class Prediction:
     """Where rows have no attitude: what is seen along the field counts for each body axis by its share in it."""
     floor_log_sd: float = 0.0
     """Standard deviation of the logarithm of what is expected."""
-    unsure_nT: float = 0.0
-    """rms of the error of the prediction without effects."""
+    unsure_nT: tuple[float, float] = (0.0, 0.0)
+    """rms per component of the errors of the predictions, which stand in these residuals beside the noise."""
 
     @property
     def log_ratio(self) -> float:
@@ -91,8 +70,9 @@ class Prediction:
         signal = max(self._mean_square(self.before_nT) - self.floor_nT**2, 0.0)
         left = min(self._mean_square(self.after_nT) - self.floor_with_effects_nT**2, signal)
         floor_sd = 2.0 * self.floor_log_sd * self.floor_with_effects_nT**2
-        sd = max(float(np.hypot(after2.std(), floor_sd)), signal / _QUANTILES, 1e-300)
-        middle = (np.arange(_QUANTILES) + 0.5) / _QUANTILES
+        count = 200  # quantiles of a prior, in place of an integral over it
+        sd = max(float(np.hypot(after2.std(), floor_sd)), signal / count, 1e-300)
+        middle = (np.arange(count) + 0.5) / count
         shares = (halfnorm.ppf(middle, scale=SHAPE_ERROR) ** 2, middle)
         named, other = (logsumexp(norm.logpdf(left, signal * share, sd)) for share in shares)
         return float(named - other)
@@ -155,7 +135,7 @@ class Prediction:
         drawn anew.
         """
         before, after, count = self.before_nT[self.counted], after_nT[self.counted], self._count
-        groups = np.array_split(np.arange(len(before)), min(STRETCHES, len(before)))
+        groups = np.array_split(np.arange(len(before)), min(40, len(before)))
         parts = (2.0 * before * after - after**2, after**2)
         sums = np.array([[*(np.sum(part[g]) for part in parts), np.sum(count[g])] for g in groups])
         rng = np.random.default_rng(len(self.before_nT))
@@ -173,50 +153,33 @@ class Prediction:
         return [float(value) for value in np.sqrt(energy / np.maximum(share.sum(axis=(0, 1)), 1e-300))]
 
 
-class Held(NamedTuple):
-    """Residuals where each block is predicted from the others."""
+def predict_blocks(problem: Problem, whitener: Whitens, kept: BoolArray, noise_nT: float, *fits: _Fit) -> Prediction:
+    """Each block predicted from the others, by the fit before and by that after; where one part of the record does not
+    determine another, the residuals of the fits themselves.
 
-    before_nT: FloatArray
-    """(N, 3)."""
-    after_nT: FloatArray
-    """(N, 3)."""
-    counted: BoolArray
-    """(N,) rows that are kept and could be predicted."""
-    of: str
-    """`blocks`; or `fit`, where one part of the record does not determine another: the residuals of the fit itself."""
-    unsure_nT: tuple[float, float]
-    """rms per component of the errors of the predictions, which stand in these residuals beside the noise."""
-
-
-def predict_blocks(
-    seconds: FloatArray, kept: BoolArray, noise_nT: float, before: Fitted, after: Fitted, measured: BoolArray
-) -> Held:
-    """Each block predicted from the others, before and after.
-
-    seconds, kept: (N,) time and rows that are not cut. noise_nT: rms per component of noise and attitude error. measured:
-    (N, 3) components that count.
+    kept (N,): rows that are not cut. noise_nT: rms per component of noise and attitude error.
     """
-    predicted = before.residual_nT.copy(), after.residual_nT.copy()
-    variance = np.zeros((2, len(seconds)))
-    known = kept.copy()
+    seconds, known = problem.setting.seconds, kept.copy()
+    plain, white = ([tuple(map(turned, fit)) for fit in fits] for turned in (problem.in_row_axes, whitener.apply))
+    predicted, variance = [residual_nT.copy() for residual_nT, _ in plain], np.zeros((2, len(seconds)))
     place = np.cumsum(kept) - 1
     block = np.clip(np.floor(place * BLOCKS / max(int(kept.sum()), 1)), 0, BLOCKS - 1)
-    guard = min(SLOW_S, GUARD_SHARE * float(seconds[-1] - seconds[0]))
+    guard = min(SLOW_S, 0.02 * float(seconds[-1] - seconds[0]))
     for number in range(BLOCKS):
         held = block == number
-        if not held.any():
-            continue
         start, end = seconds[held].min() - guard, seconds[held].max() + guard
         train = kept & ~((seconds >= start) & (seconds <= end))
-        for of, (fit, residual_nT) in enumerate(zip((before, after), predicted, strict=True)):
-            theta, root = _solve(fit.residual[train], fit.columns[train])
-            residual_nT[held] = fit.residual_nT[held] - fit.columns_nT[held] @ theta
-            variance[of, held] = np.sum((fit.columns_nT[held] @ root) ** 2, axis=(1, 2))
+        for of, ((residual_nT, columns_nT), (residual, columns)) in enumerate(zip(plain, white, strict=True)):
+            theta, root = _solve(residual[train], columns[train])
+            predicted[of][held] = residual_nT[held] - columns_nT[held] @ theta
+            variance[of, held] = np.sum((columns_nT[held] @ root) ** 2, axis=(1, 2))
         known[held] &= float(np.mean(variance[1, held]) / 3.0) < noise_nT**2
+    about = (noise_nT, noise_nT)
     if 2 * known.sum() < kept.sum():
-        return Held(before.residual_nT, after.residual_nT, kept, "fit", (0.0, 0.0))
-    unsure_nT = np.sqrt(variance[:, known].sum(axis=1) / measured[known].sum())
-    return Held(*predicted, known, "blocks", (float(unsure_nT[0]), float(unsure_nT[1])))
+        return Prediction(plain[0][0], plain[1][0], kept, *about, "fit", problem.axes)
+    unsure_nT = np.sqrt(variance[:, known].sum(axis=1) / problem.measured[known].sum())
+    of_both = (float(unsure_nT[0]), float(unsure_nT[1]))
+    return Prediction(predicted[0], predicted[1], known, *about, axes=problem.axes, unsure_nT=of_both)
 
 
 def one_step(
@@ -233,7 +196,7 @@ def one_step(
     2.2), from an unknown level; its second row is the first that is predicted. axes: where some components only are
     measured, in the rows' own axes.
     """
-    left, level, P = residual_nT.copy(), np.zeros(3), _DIFFUSE * noise_nT**2 * np.eye(3)
+    left, level, P = residual_nT.copy(), np.zeros(3), 1e6 * noise_nT**2 * np.eye(3)
     unsure = []
     for row, since in enumerate(np.diff(seconds, prepend=seconds[0])):
         P = P + rate**2 * since * np.eye(3)
@@ -244,7 +207,7 @@ def one_step(
             continue
         spread = H @ P @ H.T
         mean = float(np.trace(spread)) / len(H)
-        if mean < np.sqrt(_DIFFUSE) * noise_nT**2:
+        if mean < 1e3 * noise_nT**2:
             unsure.append(mean)
         gain = np.linalg.solve(spread + noise_nT**2 * np.eye(len(H)), H @ P).T
         level = level + gain @ left[row, measured]

@@ -50,20 +50,8 @@ SPIN_RPM = 1.9
 """Near 2 rpm, and no whole number of turns between samples of the usual spacings."""
 INERTIA_KG_M2 = np.array([10.0, 12.0, 15.0])
 """Of a body without symmetry: only ratios matter to a torque-free tumble."""
-_NADIR_WITHIN_RAD = np.radians(30.0)
-"""Median angle to a mean attitude in the orbital frame; of a tumble it is above 90 degrees."""
-_LIBRATION_RAD, _LIBRATION_S = np.radians(2.0), (600.0, 6000.0)
-"""Size and range of periods of the pointing error of a nadir pointer: up to that of an orbit."""
-_FOLLOWS = 0.5
-"""Share of a column's variance that sunlight explains, to be called driven by it: most of it."""
 MOST_CHANCE = 0.05
 """Of a false gap on the other design: more, and the parameters do not transfer."""
-_DRAWS = 20_000
-"""A chance of 0.05 is then good to 0.0015."""
-_ABSORBED = 1e-9
-"""Whitened energy of an error that what is re-estimated absorbs: rounding."""
-_MOST_TRIALS = 8
-"""Refits of what might be in the place of a named effect."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +96,7 @@ def targets(problem: Problem, named: Sequence[SignalEffect] = ()) -> list[Target
     flown = _cut(problem.setting, known)
     segment = problem.segment[known]
     R_BO = flown.given[2] * flown.R_ON.inv()
-    nadir = bool(np.median((R_BO * R_BO.mean().inv()).magnitude()) < _NADIR_WITHIN_RAD)
+    nadir = bool(np.median((R_BO * R_BO.mean().inv()).magnitude()) < np.radians(30.0))  # of a tumble it is above 90 deg
     tumble, spin = f"tumble of {np.linalg.norm(TUMBLE_DEG_S):.2g} deg/s", f"spin of {SPIN_RPM:g} rpm"
     recorded, regime = ("nadir", None) if nadir else ("attitude as flown", "same")
     made = [(recorded, days, regime) for days in DAYS] + ([] if nadir else [("nadir", DAYS[1], "nadir")])
@@ -184,7 +172,8 @@ def _regime(name: str, start: np.datetime64, over: bool) -> Callable[[TimeArray,
     if name == "spin":
         spun = (INERTIA_KG_M2, np.array([-1.0 if over else 1.0, 0.0, 0.0]), SPIN_RPM * 2.0 * np.pi / 60.0)
         return lambda time, r, v: attitude.spin(time, *spun, nutation_rad=np.radians(5.0), epoch=start).R_BN
-    librations = draw_libration((_LIBRATION_RAD,) * 3, *_LIBRATION_S, np.random.default_rng(0))
+    # The pointing error of a nadir pointer, with periods up to that of an orbit.
+    librations = draw_libration((np.radians(2.0),) * 3, 600.0, 6000.0, np.random.default_rng(0))
     return lambda time, r, v: attitude.librating(time, r, v, librations).R_BN
 
 
@@ -207,7 +196,7 @@ def _without(setting: Setting, name: str) -> Setting:
 def _best_shape(column: FloatArray, shapes: Sequence[tuple[FloatArray, FloatArray]]) -> FloatArray | None:
     """a + c shape, with a and c fitted here and the shape there; None where no shape explains the column."""
     known = np.isfinite(column)
-    best, made = _FOLLOWS, None
+    best, made = 0.5, None  # what explains most of the variance drives it
     for here, there in shapes:
         if known.sum() < FEWEST or np.ptp(here[known]) == 0.0 or np.ptp(column[known]) == 0.0:
             continue
@@ -265,7 +254,7 @@ class _Design:
         images = turn_images(field, closure.problem.sensor_image)
         self.whitener: Whitener = make_whitener(images, target.setting.seconds, target.segment, noise)
         self.nuisance = jacobians(self.chain, closure.modelled, [*closure.problem.frozen, *chosen])
-        self.nuisance_white = self.whitener.apply(self.nuisance) if closure.modelled else self.nuisance
+        self.nuisance_white = self.whitener.apply(self.nuisance)
         self.basis = orthonormal(self.nuisance_white)
         self.floor_nT = floor_rms_nT(field, noise.white_rms_nT, noise.theta_rad, roll=noise.roll)
 
@@ -293,7 +282,7 @@ def _one(
     """By the errors of the parameters, and by what else the effect may be: both as a diagnosis there would see them."""
     raw, white = design.projected(_errors(design, effect, theta, covariance))
     spread: FloatArray = np.asarray(np.linalg.eigvalsh(white.T @ white), dtype=np.float64)
-    seen = spread[spread > _ABSORBED]
+    seen = spread[spread > 1e-9]  # what is re-estimated absorbs the rest
     rank = max(seen.size, 1)
     rule = Rule(rank, tested, samples_of(design.whitener.measured))
     bar = rule.least_drop
@@ -310,7 +299,7 @@ def _one(
         energy += other.weight * own
         wrong_name = wrong_name or (other.label if added > MOST_CHANCE / 2 else "")
     unsure_nT = float(np.sqrt(unsure2))
-    detectable = unsure_nT * float(np.sqrt(rule.noncentrality / energy)) if energy > _ABSORBED else None
+    detectable = unsure_nT * float(np.sqrt(rule.noncentrality / energy)) if energy > 1e-9 else None
     why = f"it may as well be {wrong_name} in these data, and that would differ there"
     why = why if wrong_name else "the error of its parameters would show there"
     good = chance <= MOST_CHANCE
@@ -340,7 +329,7 @@ def _errors(design: _Design, effect: SignalEffect, theta: FloatArray, covariance
 
 def _seen_by_chance(spread: FloatArray, bar: float) -> float:
     """P(sum (1 + l_i) z_i^2 > bar), z standard normal: the score of an error with covariance l over noise."""
-    z2 = np.random.default_rng(0).chisquare(1.0, size=(_DRAWS, spread.size))
+    z2 = np.random.default_rng(0).chisquare(1.0, size=(20_000, spread.size))  # a chance of 0.05 is good to 0.0015
     return float(np.mean(z2 @ (1.0 + spread) > bar))
 
 
@@ -351,7 +340,7 @@ def _others(closure: Closure, number: int) -> tuple[Other, ...]:
     own = refit(readings, closure.chosen, modelled=closure.modelled)
     samples = samples_of(closure.whitener.measured)
     found: list[Other] = []
-    for other in closure.alternatives[number][:_MOST_TRIALS]:
+    for other in closure.alternatives[number][:8]:
         if other.name == effect.name and other.bound:
             continue  # the same error with a rate that no data ask for: what it would do elsewhere is a guess
         trial = list(closure.chosen)

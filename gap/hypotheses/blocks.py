@@ -38,17 +38,12 @@ from fluxtwin.sim.effects.drivers import TIME_CONSTANTS_S
 from fluxtwin.sim.effects.signal import Setting
 from fluxtwin.sim.telemetry.quantities import QUANTITIES
 
-_HARMONICS = 3
-_REGIONS = 48
-_REGION_RADIUS_RAD = 0.35  # of a Gaussian patch, about 20 degrees: neighbours on the sphere overlap at half height
 LEAST_SHARE = 0.02
 """Of the rows: an indicator that holds for less, or for all but less, says nothing."""
 STAGES = ("time", "orbit", "field", "attitude", "spacecraft", "sensor")
 """Where a discrepancy of this kind can lie; dynamics and telemetry have none."""
 OWN_STAGES = ("spacecraft", "sensor")
 """What is done there is added to the readings of one magnetometer; the others are the same for all."""
-_FIELD_DEGREES = (1, 3, 6, 10)
-_MOST_BYTES = 100e6  # that the whitened columns of a design may take between two questions
 _TOGETHER = 8  # blocks that are whitened at once: so many columns fit the cache of a core
 
 
@@ -66,7 +61,7 @@ class Condition:
 
 
 def conditions(setting: Setting) -> tuple[Condition, ...]:
-    """Every condition that varies on this design, but regions (`regions`) and steps (`after`)."""
+    """Every condition that varies on this design, but regions (`regions`) and steps (`step_block`)."""
     every = (*_lighting(setting), *_orbital(setting), *_housekeeping(setting))
     return tuple(condition for condition in every if _varies(condition))
 
@@ -76,18 +71,13 @@ def always(setting: Setting) -> Condition:
     return Condition(None, "always", np.ones((setting.time.size, 1)), indicator=True)
 
 
-def after(setting: Setting, seconds: float) -> Condition:
-    """From a moment on, in seconds from the first stamp."""
-    return Condition("after_time", "after a moment", (setting.seconds >= seconds)[:, None].astype(float), True)
-
-
 def regions(setting: Setting) -> tuple[Condition, ...]:
     """Smooth patches of the Earth, each about 40 degrees wide, that the record passes over."""
     unit = setting.R_EN.apply(setting.given[0])
     unit = unit / np.linalg.norm(unit, axis=1)[:, None]
     found = []
-    for centre in even_directions(_REGIONS, first=0.5):
-        away = np.arccos(np.clip(unit @ centre, -1.0, 1.0)) / _REGION_RADIUS_RAD
+    for centre in even_directions(48, first=0.5):
+        away = np.arccos(np.clip(unit @ centre, -1.0, 1.0)) / 0.35  # neighbours on the sphere overlap at half height
         patch = np.exp(-0.5 * away**2)
         if 0.005 * unit.shape[0] < (patch > 0.5).sum() and (patch > 0.5).mean() < 0.5:
             latitude, longitude = np.degrees([np.arcsin(centre[2]), np.arctan2(centre[1], centre[0])])
@@ -121,7 +111,7 @@ def _lighting(setting: Setting) -> Iterator[Condition]:
 
 def _orbital(setting: Setting) -> Iterator[Condition]:
     u = setting.orbit_phase_rad
-    waves = [wave(n * u) for n in range(1, _HARMONICS + 1) for wave in (np.cos, np.sin)]
+    waves = [wave(n * u) for n in (1, 2, 3) for wave in (np.cos, np.sin)]
     yield _smooth("orbit_phase", "orbit phase, once", np.stack(waves[:2], axis=1))
     yield _smooth("orbit_phase", "orbit phase", np.stack(waves, axis=1))
     sine = np.sin(setting.latitude_rad)
@@ -308,8 +298,8 @@ def steady(perturbed: PerturbedDesign, found: Iterable[Condition]) -> list[Condi
 
 def step_block(problem: Problem, step_s: float) -> Block:
     """A field in body axes that sets in at a moment, in seconds from the first stamp."""
-    c = after(problem.setting, step_s)
-    return Block(_BODY_STAGES["after_time"], c.name, "body", c.label, "xyz", partial(in_body, c.columns))
+    on = (problem.setting.seconds >= step_s).astype(float)
+    return Block(_BODY_STAGES["after_time"], "after_time", "body", "after a moment", "xyz", partial(in_body, on))
 
 
 _BODY_STAGES: Mapping[str | None, Mapping[str, float]] = {
@@ -371,7 +361,7 @@ def _orbit_and_time(carrier: Carrier, found: list[Condition], constant: Conditio
 
 
 def _field(carrier: Carrier) -> Iterator[Block]:
-    for degree in _FIELD_DEGREES:
+    for degree in (1, 3, 6, 10):
         terms = degree * (degree + 2)
         label, made = f"field to degree {degree}", partial(carrier.potential, degree)
         yield Block({"field": 1.0}, None, "earth", label, " " * terms, made)
@@ -453,7 +443,8 @@ class Dictionary:
     room, some blocks are made and whitened at a time, and forgotten.
     """
 
-    def __init__(self, found: Sequence[Block], rows: int, most_bytes: float = _MOST_BYTES) -> None:
+    def __init__(self, found: Sequence[Block], rows: int, most_bytes: float = 100e6) -> None:
+        """most_bytes: that what is whitened may take between two questions."""
         self.found, self.rows = tuple(found), rows
         self.kept = 24 * rows * sum(len(block.axes) for block in self.found) <= most_bytes
         self._latest: tuple[Whitens, _Some] | None = None

@@ -38,7 +38,6 @@ MOST_CHANGED = 0.3
 """Share of an image's energy that may change with the attitude's error."""
 SLOW_S = 300.0
 """Errors of the attitude last minutes."""
-_SEED = 12
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,21 +88,16 @@ def candidates(problem: Problem, perturbed: PerturbedDesign | None = None) -> tu
         if possible:
             reasons = [one.untestable(problem.setting) for one in possible]
             reason = None if None in reasons else reasons[0]
+        if possible and reason is None:
+            seen: dict[Effect, FloatArray] = {}
+            every = (_candidate(problem.design, alternative, on, perturbed, seen) for alternative in possible)
+            testable = [candidate for candidate in every if candidate.live.any()]
+            firm = [candidate for candidate in testable if candidate.change <= MOST_CHANGED]
+            nothing = "nothing in these data excites it: at its typical size it would not change any reading"
+            reason = None if firm else OF_ERRORS if testable else nothing
+            found += firm
         if reason is not None:
             untestable[effect.name] = reason
-        if reason is not None or not possible:
-            continue
-        seen: dict[Effect, FloatArray] = {}
-        every = (_candidate(problem.design, alternative, on, perturbed, seen) for alternative in possible)
-        testable = [candidate for candidate in every if candidate.live.any()]
-        if not testable:
-            untestable[effect.name] = (
-                "nothing in these data excites it: at its typical size it would not change any reading"
-            )
-        firm = [candidate for candidate in testable if candidate.change <= MOST_CHANGED]
-        if testable and not firm:
-            untestable[effect.name] = OF_ERRORS
-        found += firm
     return found, untestable
 
 
@@ -140,11 +134,7 @@ def settings_of(effect: Effect) -> dict[str, object]:
 
 
 def _candidate(
-    chain: Chain,
-    effect: SignalEffect,
-    on: Sequence[Active],
-    perturbed: PerturbedDesign,
-    seen: dict[Effect, FloatArray],
+    chain: Chain, effect: SignalEffect, on: Sequence[Active], perturbed: PerturbedDesign, seen: dict[Effect, FloatArray]
 ) -> Candidate:
     """seen: images of effects that others modulate, made so far; more are added."""
     whole, share = effect.modulates(chain.setting) or (effect, np.ones((1, 1)))
@@ -175,7 +165,7 @@ class PerturbedDesign:
         self._latest: tuple[Effect, Sequence[Active], FloatArray] | None = None
         if not any(size > 0 for size, _ in parts) or not isinstance(motion, RecordedMotion):
             return
-        rng = np.random.default_rng(_SEED)
+        rng = np.random.default_rng(12)
         perturbed = motion.with_errors(
             lambda time: np.sum([gauss_markov(time, size, tau_s, rng, columns=3) for size, tau_s in parts], axis=0)
         )
@@ -232,7 +222,7 @@ def parts_of(sigma_rad: float) -> list[tuple[float, float]]:
 
 def _step(effect: Effect) -> FloatArray:
     """(p,) all parameters by their typical size, with signs that are drawn once."""
-    signs = np.random.default_rng(_SEED).choice([-1.0, 1.0], len(effect.parameters))
+    signs = np.random.default_rng(12).choice([-1.0, 1.0], len(effect.parameters))
     return np.asarray(signs * [parameter.scale for parameter in effect.parameters])
 
 

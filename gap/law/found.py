@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fluxtwin.gap.detectors.residual_structure import PARTS, parts, residual_structure
-from fluxtwin.gap.held_out.held_out import Fitted, Prediction, floor_rms_nT, predict_blocks
+from fluxtwin.gap.held_out.held_out import floor_rms_nT, predict_blocks
 from fluxtwin.gap.law import words
 from fluxtwin.gap.law.search import Grammar, Regression
 from fluxtwin.gap.linear.projection import projected
@@ -30,10 +30,6 @@ from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.chain import Active
 from fluxtwin.sim.effects.drivers import orbital_period_s
 from fluxtwin.sim.effects.law import Law as LawEffect
-
-LEAST_CLOSED = 0.5
-"""Of what is left, on held-out samples: a law that leaves more than it explains is none."""
-_SHOWN = 4000
 
 
 @dataclass(frozen=True)
@@ -55,9 +51,8 @@ class Lawful:
     """A law with what closing needs of it."""
 
     record: Law
-    named: tuple[Active, ...] = ()
+    chosen: tuple[Active, ...] = ()
     """The names that it stands beside, and then its terms, as refitted together."""
-    terms: tuple[Active, ...] = ()
     modelled: tuple[Active, ...] = ()
     alternatives: tuple[tuple[LawEffect, ...], ...] = ()
     """For each of its terms."""
@@ -72,8 +67,6 @@ class _Base:
     """What a law stands beside."""
 
     named: tuple[Active, ...]
-    signals: tuple[Active, ...]
-    """Causes of their own shape, which are fitted and not handed on."""
     modelled: tuple[Active, ...]
     residual_nT: FloatArray
     fitted_nT: FloatArray
@@ -84,12 +77,11 @@ def law_of(problem: Problem, answer: Answer, named: Sequence[FoundEffect], progr
     """The law of what named effects (none: of the whole gap) leave, beside them or in their place."""
     progress("the law of what is left", 0.92)
     regression = Regression(problem, Grammar(problem))
-    result, signals = answer.result, tuple(signals_of(answer.shapes))
-    alone_nT = without_names(problem, answer)
-    alone = _Base((), signals, result.modelled_alone, result.residual_alone_nT, alone_nT)
+    result, alone_nT = answer.result, without_names(problem, answer)
+    alone = _Base((), result.modelled_alone, result.residual_alone_nT, alone_nT)
     if not named:
         return _Search(regression, answer, alone, alone).found()
-    beside = _Base(result.chosen, signals, result.modelled, result.residual_nT, answer.fitted_nT)
+    beside = _Base(result.chosen, result.modelled, result.residual_nT, answer.fitted_nT)
     search = _Search(regression, answer, beside, alone)
     found = search.found()
     progress("the law of the whole gap", 0.95)
@@ -119,14 +111,15 @@ def _by_definition(problem: Problem, answer: Answer) -> float:
 
 def closed_by(law: Lawful, closure: Closure) -> Closure:
     """A closure with the terms of a law among what is named; itself where none was found."""
-    if not law.terms or law.whitener is None:
+    if law.whitener is None:
         return closure
+    named = len(law.chosen) - len(law.alternatives)
     return replace(
         closure,
         whitener=law.whitener,
         modelled=law.modelled,
-        chosen=(*law.named, *law.terms),
-        alternatives=(*closure.alternatives[: len(law.named)], *law.alternatives),
+        chosen=law.chosen,
+        alternatives=(*closure.alternatives[:named], *law.alternatives),
         incomplete=None if law.complete else "the law is incomplete: structure remains",
     )
 
@@ -169,12 +162,12 @@ class _Search:
         had = [effect for effect, _ in self.problem.frozen]
         usual = words.with_names((regression.grammar.usual(law) for law in laws), had)
         terms = [(law, np.zeros(3)) for law in usual]
-        chosen = [*base.named, *base.signals, *terms]
+        chosen = [*base.named, *signals_of(self.answer.shapes), *terms]
         readings = Readings(self.problem, whitener)
         return refit(readings, chosen, modelled=base.modelled) if laws else None, alike
 
     def _lawful(self, fit: Fit, choice: NoiseChoice, whitener: Whitener, alike: Sequence[LawEffect]) -> Lawful:
-        problem, count = self.problem, len(self.base.named) + len(self.base.signals)
+        problem, count = self.problem, len(self.base.named) + len(signals_of(self.answer.shapes))
         terms = fit.chosen[count:]
         residual_nT = problem.residual_of(fit.active)
         columns_nT = problem.derivatives(fit.active)
@@ -189,13 +182,12 @@ class _Search:
             if worth(gain / wider, more, samples, float(np.log(len(PARTS)))) > THRESHOLD + LOG_FURTHER:
                 why = "differ from one part of the record to the next"
                 return Lawful(self._none(whitener, f"the coefficients of the best one ({best}) {why}"))
-        if gap.closed is None or gap.closed < LEAST_CLOSED:
+        if gap.closed is None or gap.closed < 0.5:  # one that leaves more than it explains is none
             return Lawful(self._none(whitener, f"the best one ({best}) {words.too_little(gap)}"))
         rest = residual_structure(problem, whitener, residual_nT, columns_nT)
         return Lawful(
             replace(record, fitted=self._series(terms, residual_nT)),
-            fit.chosen[: len(self.base.named)],
-            terms,
+            (*fit.chosen[: len(self.base.named)], *terms),
             fit.modelled,
             tuple(tuple(words.with_names(alike)) if number == 0 else () for number in range(len(terms))),
             whitener,
@@ -220,12 +212,10 @@ class _Search:
         kept = ~np.any(choice.robust.cut, axis=1)
         noise, measured = choice.noise, problem.measured[kept]
         floor_nT = floor_rms_nT(problem.noise_field_nT[kept], noise.white_rms_nT, noise.theta_rad, measured, noise.roll)
-        before = Fitted.of(problem, whitener, self.base.residual_nT, self.base.fitted_nT)
-        after = Fitted.of(problem, whitener, residual_nT, columns_nT)
-        held = predict_blocks(problem.setting.seconds, kept, floor_nT, before, after, problem.measured)
+        fits = ((self.base.residual_nT, self.base.fitted_nT), (residual_nT, columns_nT))
+        held = predict_blocks(problem, whitener, kept, floor_nT, *fits)
         # Of over a thousand terms that were tried, one that predicts badly is not excused by being unsure.
-        given = (held.before_nT, held.after_nT, held.counted, floor_nT, floor_nT, held.of)
-        gap = Prediction(*given, axes=problem.axes).shrinkage(True)
+        gap = held.shrinkage(True)
         return replace(gap, closed=None, interval=None) if held.of == "fit" else gap
 
     def _record(self, fit: Fit, terms: Sequence[Active], gap: Shrinkage, alike: Sequence[LawEffect]) -> Law:
@@ -277,13 +267,11 @@ class _Search:
 
     def _series(self, terms: Sequence[Active], residual_nT: FloatArray) -> tuple[LawSeries, ...]:
         """Each term against the residual without it, along its own direction."""
-        found, every = [], max(1, self.problem.rows // _SHOWN)
+        found, every = [], max(1, self.problem.rows // 4000)
         for law, theta in terms:
             assert isinstance(law, LawEffect)
             size = float(np.linalg.norm(theta))
-            values = self.regression.grammar.values(law)
-            if size == 0.0 or values is None:
-                continue
+            values = np.asarray(self.regression.grammar.values(law), dtype=np.float64)
             turned = np.einsum("nij,j->ni", self.regression.carrier.turns[law.axes], theta / size)
             partial = np.einsum("ni,ni->n", residual_nT, turned) + size * values
             found.append(LawSeries(words.axis_label(law), values[::every], partial[::every], size))

@@ -33,17 +33,9 @@ from fluxtwin.sim.effects.spacecraft_field import TYPICAL_NT, Driver
 from fluxtwin.sim.telemetry.quantities import DIPOLE, WHEELS
 
 AXES: tuple[Axes, ...] = get_args(Axes)
-_SCALARS = ("heater_on", "array_current_A", "battery_current_A", "temperature_degC")
-_LEVELS = np.arange(1, 10) / 10.0
-"""Quantiles of a column beyond which something may be on."""
 _PARTS = max(PARTS)
 """Of a record, at whose ends something that follows a column may go on or off: the times are then searched between them."""
 _QUARTER = {"cos": "sin", "sin": "cos", "cos2": "sin2", "sin2": "cos2"}
-MOST_TERMS = 3
-"""Not counting those of lower order that go with one."""
-_MOST_BYTES = 400e6  # that the pool may take, which is asked again after every term
-_BEAM = 8
-"""Of the pool, whose delays and frames are looked at: the right pair undelayed is seldom the best, but among the first."""
 
 
 Terms = tuple[Law, ...]
@@ -190,7 +182,7 @@ class Grammar:
         if name.startswith("not ") or name not in self.recorded or name in self.switches:
             return ()
         values = np.asarray(self.values(Law(of=(name,))))
-        levels = np.unique(np.quantile(values, _LEVELS))
+        levels = np.unique(np.quantile(values, np.arange(1, 10) / 10.0))
         return ("^2", "^3", *(f">{level:.6g}" for level in levels if LEAST_SHARE < np.mean(values > level) < 1.0))
 
 
@@ -200,7 +192,8 @@ def _of(factor: str) -> str:
 
 def _names(setting: Setting) -> Iterator[str]:
     """Quantities that are recorded."""
-    yield from (name for name in setting.columns if name in _SCALARS or name.startswith(("driver_", "flag_")))
+    scalars = ("heater_on", "array_current_A", "battery_current_A", "temperature_degC")
+    yield from (name for name in setting.columns if name in scalars or name.startswith(("driver_", "flag_")))
     if setting.column(DIPOLE.name) is not None:
         yield from (f"dipole_{axis}" for axis in "xyz")
     if setting.column(WHEELS.name) is not None:
@@ -234,7 +227,7 @@ class Regression:
         self._latest: tuple[ProjectedResidual | None, dict[Terms, Trial]] = (None, {})
         laws = dict.fromkeys((*grammar.singles(), *grammar.products()))
         self.terms = [grammar.with_lower(law) for law in laws if grammar.values(law) is not None]
-        self.pool = Dictionary([self.block(terms) for terms in self.terms], problem.rows, _MOST_BYTES)
+        self.pool = Dictionary([self.block(terms) for terms in self.terms], problem.rows, most_bytes=400e6)
 
     def plain(self) -> list[Law]:
         """One quantity each, as it stands, in body axes."""
@@ -284,14 +277,15 @@ class Regression:
         return [known[terms] for terms in found if known[terms].rank]
 
     def best(self, left: ProjectedResidual, beside: Sequence[Law] = ()) -> list[Trial]:
-        """The best few of the pool with their settings moved, best first."""
+        """The best few of the pool with their settings moved, best first: the right pair undelayed is seldom the best, but
+        among the first."""
         self._count(self.terms)
         pairs = zip(self.terms, self.pool.fits(left), strict=True)
         found = [Trial(terms, one, *one.explained()) for terms, one in pairs if terms[0] not in beside]
-        few = sorted((one for one in found if one.rank), key=lambda one: -self.order(one, left))[: 4 * _BEAM]
+        few = sorted((one for one in found if one.rank), key=lambda one: -self.order(one, left))[:32]
         kept: list[Trial] = []
         for one in few:  # several settings of the same factors are one place in the beam
-            if len(kept) < _BEAM and all(set(one.law.quantities()) != set(k.law.quantities()) for k in kept):
+            if len(kept) < 8 and all(set(one.law.quantities()) != set(k.law.quantities()) for k in kept):
                 kept.append(one)
         every = [*(self.moved(one, left) for one in kept), *few]
         wider = 1.0 + SHAPE * max((one.drop for one in every), default=0.0)
@@ -351,7 +345,7 @@ class Regression:
                 return bare
             return projected(whitener, residual_nT, np.concatenate([fitted_nT, self.columns(_members(others))], axis=2))
 
-        for _ in range(MOST_TERMS):
+        for _ in range(3):  # not counting those of lower order that go with one
             left = beside(chosen)
             wider = 1.0 + SHAPE * max(bare.energy - left.energy, 0.0)
             ranked = self.best(left, _members(chosen))

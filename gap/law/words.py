@@ -24,7 +24,6 @@ _UNITS = {
     "field": "uT",
     "driver": "unit",
 }
-_SWITCHES = ("not", "cos", "sin", "cos2", "sin2", "since", "until")
 _NAMES = {
     "array_current_A": "array current",
     "battery_current_A": "battery current",
@@ -34,10 +33,8 @@ _NAMES = {
     "orbit_phase": "argument of latitude",
     "local_time": "local time",
 }
-_SHORT = {"^2": "_squared", "^3": "_cubed"}
 _FRAMES = {"orbital": "the orbital frame", "inertial": "inertial axes", "earth": "Earth-fixed axes"}
 _MOST_LISTED = 4
-_NOT_SHOWN = 2.0  # sigma: coefficients below are left out of the sentence where others are above
 
 
 def unit(law: LawEffect) -> str:
@@ -49,7 +46,7 @@ def unit(law: LawEffect) -> str:
 
 def _unit(factor: str) -> str:
     name, _, power = factor.partition("^")
-    if (factor.startswith(_SWITCHES) and " " in factor) or ">" in factor:
+    if " " in factor or ">" in factor:
         return ""
     stem = name if name in _UNITS else name.partition("_")[0]
     return _UNITS.get(stem, "") + power if stem in _UNITS else ""
@@ -78,8 +75,7 @@ def _short(factor: str) -> str:
     """A factor in a name."""
     done, _, rest = factor.rpartition(" ")
     name, above, _ = rest.removeprefix("driver_").partition(">")
-    for sign, word in _SHORT.items():
-        name = name.replace(sign, word)
+    name = name.replace("^2", "_squared").replace("^3", "_cubed")
     return re.sub(r"[^A-Za-z0-9_]", "", "_".join(filter(None, (done, name, "high" if above else ""))))
 
 
@@ -129,7 +125,7 @@ def gate(text: str) -> str | None:
 def term(one: LawTerm) -> str:
     """One term in words."""
     every = one.coefficients.items()
-    seen = [(axis, pair) for axis, pair in every if pair[1] is None or abs(pair[0]) > _NOT_SHOWN * pair[1]]
+    seen = [(axis, pair) for axis, pair in every if pair[1] is None or abs(pair[0]) > 2.0 * pair[1]]
     sizes = [f"{measured(value, sigma)} {one.unit} on {axis}" for axis, (value, sigma) in seen or every]
     frame = "" if one.axes == "body" else f" of {_FRAMES[one.axes]}"
     first = _followed(one.of)[:1]

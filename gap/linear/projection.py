@@ -17,9 +17,6 @@ SHARE_LEFT = 1e-6
 """Of its energy that a column, or a combination of columns, must have left after projection to count as a direction."""
 SHARE_PICKED = 1e-8
 """The same beside columns that were picked before it, in `span_of`."""
-_MARGIN = 50.0
-_LARGEST_SHARE = 0.05
-_TOGETHER = 1024  # rows whose products are made at once: they stay in the cache of a core
 
 
 class Whitens(Protocol):
@@ -90,14 +87,9 @@ def orthonormal(columns: FloatArray) -> FloatArray:
 
 def projected_out(basis: FloatArray, columns: FloatArray) -> FloatArray:
     """Columns (M, k) or (M,) with an orthonormal basis (M, q) out of them to rounding, which takes two passes."""
-    left = np.empty(columns.shape)
     for _ in range(2):
-        along = basis.T @ columns
-        for first in range(0, len(columns), _TOGETHER):
-            rows = slice(first, first + _TOGETHER)
-            np.subtract(columns[rows], basis[rows] @ along, out=left[rows])
-        columns = left
-    return left
+        columns = columns - basis @ (basis.T @ columns)
+    return columns
 
 
 def explained(gram: FloatArray, moment: FloatArray, least: float) -> tuple[float, int]:
@@ -117,7 +109,7 @@ def explained_in_units(gram: FloatArray, moment: FloatArray) -> tuple[float, int
 
 def log10_sf_f(ratio: float, rank: float, spare: float) -> float:
     """log10 of the upper tail of the F law, also where it underflows."""
-    p = float(fdtrc(rank, spare, ratio)) if ratio > 0 else 1.0
+    p = float(fdtrc(rank, spare, ratio))
     if p > 1e-280:
         return float(np.log10(p))
     # Leading term of the tail: I_x(spare/2, rank/2) with x -> 0 (Abramowitz & Stegun 26.5.4).
@@ -125,15 +117,6 @@ def log10_sf_f(ratio: float, rank: float, spare: float) -> float:
     a, b = spare / 2, rank / 2
     log_beta = float(stats.beta.logpdf(0.5, a, b)) - (a + b - 2) * np.log(0.5)
     return float((a * np.log(x) + (b - 1) * np.log1p(-x) + log_beta - np.log(a)) / np.log(10))
-
-
-def share_mimicked(one: FloatArray, other: FloatArray) -> float:
-    """Share of the energy of columns (M, k) that the span of others (M, l) can make."""
-    total = float(np.sum(one**2))
-    if total == 0 or not other.shape[1]:
-        return 0.0
-    basis = orthonormal(other)
-    return float(np.sum((basis.T @ one) ** 2)) / total
 
 
 def least_share(whitener: object) -> float:
@@ -149,7 +132,7 @@ def share_of_errors(theta_rad: float | None, least: float) -> float:
     share of theta**2 of it, what is left is that error, which the residual has too: such directions are passed over.
     The factor covers errors that smoothing leaves in many rows.
     """
-    return least if theta_rad is None else float(np.clip(_MARGIN * theta_rad**2, least, _LARGEST_SHARE))
+    return least if theta_rad is None else float(np.clip(50.0 * theta_rad**2, least, 0.05))
 
 
 @dataclass(frozen=True, eq=False)

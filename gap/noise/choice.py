@@ -42,40 +42,15 @@ NOT_KNOWN = "not known"
 
 NOISE_LOG_SD = 0.1
 """The declared noise is trusted to 10 %: data sheets give two digits."""
-ATTITUDE_LOG_SD = 0.4
-"""The declared attitude error is trusted to a factor 1.5: requirements are round numbers, and met with margin."""
-TAU_LOG_SD = 0.5
-"""A declared time constant is one number for a spectrum."""
-USUAL_TAU_S, _USUAL_TAU_LOG_SD = 100.0, 1.5
+USUAL_TAU_S = 100.0
 """Undeclared: from a sensor's own noise, some seconds, to ten minutes of an attitude filter, at 1.3 standard deviations."""
-_WIDE_LOG_SD = 0.7
-"""Noise that was estimated from differences: a factor two either way, as it takes all fast errors for noise."""
 _LEAST_NOISE_nT = 1e-3
 """What a noise-free, unrounded simulation is held to have: the last decimal of a written reading."""
-_RATIOS = (1e-3, 1e6)
-"""Attitude error times field over white noise: below it does nothing, above there is nothing but it."""
-_LONGEST_S = 3000.0
-"""Half an orbit: an error with a longer memory is a constant turn, which calibrations take up."""
 _WIDE, _NARROW = float(np.log(4.0)), 0.1
 """In the logarithms of ratio and time constant: the longest step of the search, and that of differences."""
 CLOSE = 1e-3
 """In log likelihood, which is 0.04 standard deviations: no step is taken for less."""
-_DECIMALS = 6
-"""Of the logarithms of ratio and time constant: further ones are rounding, and differ between processors."""
-_NOTHING = -1e12
-_LATTICE = 1.5 * np.arange(-3, 4)
-"""In standard deviations: as far as a noise model goes that takes a barely visible cause up (20 of chi-square), in steps
-that miss the best of them by half a unit of chi-square."""
-_HOPELESS = 6.0
-"""In log likelihood: an error without memory that is so far behind at the ratio of one with memory is left alone."""
-_ROUNDS = 4  # of noise and spikes in turn; two settle all but records with many bit errors
 _EVEN = NoiseModel(1.0, 0.0, 0.0)
-_AXES = [np.array(one) / np.linalg.norm(one) for one in product(range(-2, 3), repeat=3) if one > (0, 0, 0)]
-"""Of each pair of opposite directions one, 18 deg or less from any other direction."""
-_FACTORS = (3.0, 10.0)
-"""What stars tell worse about the boresight than across it: Liebe 2002 has 6 to 16 for fields of 8 to 20 deg."""
-_SHARES = np.geomspace(0.1, 100.0, 13)
-_UNEVEN = 1.25  # axes whose white noise differs by more get a factor each: less costs at most 5 % (Kantorovich's bound)
 
 
 @dataclass(frozen=True)
@@ -86,7 +61,8 @@ class NoisePrior:
     """White noise of a reading with rounding, 1 sigma per axis."""
     sigma_log_sd: float
     theta_rad: float | None = None
-    theta_log_sd: float = ATTITUDE_LOG_SD
+    theta_log_sd: float = 0.4
+    """The declared attitude error is trusted to a factor 1.5: requirements are round numbers, and met with margin."""
     tau_s: float | None = None
     """Declared time constant; None leaves it to the data, white included."""
     roll: Roll | None = None
@@ -97,7 +73,8 @@ class NoisePrior:
         total = (np.log(sigma_nT / self.sigma_nT) / self.sigma_log_sd) ** 2
         if self.theta_rad and theta_rad > 0:
             total += (np.log(theta_rad / self.theta_rad) / self.theta_log_sd) ** 2
-        usual_s, log_sd = (USUAL_TAU_S, _USUAL_TAU_LOG_SD) if self.tau_s is None else (self.tau_s, TAU_LOG_SD)
+        # A declared time constant is one number for a spectrum.
+        usual_s, log_sd = (USUAL_TAU_S, 1.5) if self.tau_s is None else (self.tau_s, 0.5)
         if tau_s > 0 and usual_s:
             total += (np.log(tau_s / usual_s) / log_sd) ** 2
         return -0.5 * float(total)
@@ -144,7 +121,7 @@ def prior_of(budget: Budget) -> NoisePrior:
     guessed = budget.noise_nT is None or sources.get("noise_nT") == FROM_DIFFERENCES
     return NoisePrior(
         sigma_nT=max(white, _LEAST_NOISE_nT),
-        sigma_log_sd=_WIDE_LOG_SD if guessed else NOISE_LOG_SD,
+        sigma_log_sd=0.7 if guessed else NOISE_LOG_SD,  # differences take all fast errors for noise
         theta_rad=budget.attitude_sigma_rad,
         tau_s=budget.attitude_tau_s,
         roll=budget.attitude_roll,
@@ -237,13 +214,7 @@ class Likely(NamedTuple):
 class Likelihood:
     """The restricted likelihood of one set of data, as a function of the noise model."""
 
-    def __init__(
-        self,
-        data: Data,
-        prior: NoisePrior,
-        like: NoiseModel = _EVEN,
-        walk: float = 0.0,
-    ) -> None:
+    def __init__(self, data: Data, prior: NoisePrior, like: NoiseModel = _EVEN, walk: float = 0.0) -> None:
         """like: how the axes differ, in noise and in attitude error; walk: rate of a bias that walks, over sigma
         [1/sqrt(s)]."""
         self.data, self.prior, self.like, self.walk = data, prior, like, walk
@@ -286,7 +257,7 @@ class Likelihood:
         try:
             L = np.linalg.cholesky(gram[:rank, :rank])
         except np.linalg.LinAlgError:  # an attitude error so large that nothing is left of some column
-            return Choice(unit, _NOTHING, np.zeros(rank))
+            return Choice(unit, -1e12, np.zeros(rank))
         half = solve_triangular(L, gram[:rank, rank], lower=True, check_finite=False)
         along = solve_triangular(L, half, lower=True, trans=1, check_finite=False)
         rss = max(float(gram[rank, rank] - half @ half), 1e-12 * float(gram[rank, rank]), 1e-30)
@@ -325,7 +296,7 @@ def best_noise(likelihood: Likelihood, start: NoiseModel | None = None) -> Choic
     best, hessian = _climbed(likelihood, ratio, tau_s)
     if prior.tau_s is None and tau_s > 0:
         guess = likelihood.point(best.noise)[0]
-        if likelihood.at(guess, 0.0).log_posterior > best.log_posterior - _HOPELESS:
+        if likelihood.at(guess, 0.0).log_posterior > best.log_posterior - 6.0:  # further behind it is left alone
             white = _climbed(likelihood, guess, 0.0)
             best, hessian = max((best, hessian), white, key=lambda one: one[0].log_posterior)
     if prior.theta_rad is None:
@@ -355,25 +326,29 @@ def noises_about(likelihood: Likelihood, chosen: NoiseModel) -> list[Likely]:
 
 
 def _about(likelihood: Likelihood, best: Choice, hessian: FloatArray) -> list[Choice]:
-    """A mode and a lattice about it, in standard deviations along the principal axes."""
+    """A mode and a lattice about it, in standard deviations along the principal axes: as far as a noise model goes that
+    takes a barely visible cause up (20 of chi-square), in steps that miss the best of them by half a unit of chi-square."""
     ratio, tau_s = likelihood.point(best.noise)
     free = len(hessian)
     place, (low, high) = np.log([ratio, tau_s or 1.0])[:free], _range(likelihood, free)
     value, vector = np.linalg.eigh(-hessian)
     axes = vector / np.sqrt(np.maximum(value, _WIDE**-2))
-    steps = np.stack(np.meshgrid(*[_LATTICE] * free), axis=-1).reshape(-1, free)
+    steps = np.stack(np.meshgrid(*[1.5 * np.arange(-3, 4)] * free), axis=-1).reshape(-1, free)
     reach = np.linalg.norm(steps, axis=1)
-    inside = steps[(reach > 0.0) & (reach <= _LATTICE[-1])]
+    inside = steps[(reach > 0.0) & (reach <= 4.5)]
     points = np.exp(np.unique(np.clip(place + inside @ axes.T, low, high), axis=0))
     return [best, *(likelihood.at(float(at[0]), float(at[1]) if free == 2 else 0.0) for at in points)]
 
 
 def _range(likelihood: Likelihood, free: int) -> tuple[FloatArray, FloatArray]:
-    """Lowest and highest logarithm of the ratio, or of ratio and time constant."""
+    """Lowest and highest logarithm of the ratio, or of ratio and time constant.
+
+    Below the lowest ratio the attitude error does nothing, above the highest there is nothing but it; one with a memory of
+    more than half an orbit is a constant turn, which calibrations take up.
+    """
     seconds = likelihood.data.seconds
     spacing = float(np.median(np.diff(seconds))) if seconds.size > 1 else 1.0
-    low, high = (np.log([at, tau])[:free] for at, tau in zip(_RATIOS, (0.25 * spacing, _LONGEST_S), strict=True))
-    return low, high
+    return np.log([1e-3, 0.25 * spacing])[:free], np.log([1e6, 3000.0])[:free]
 
 
 def _climbed(likelihood: Likelihood, ratio: float, tau_s: float) -> tuple[Choice, FloatArray]:
@@ -402,7 +377,7 @@ def _climbed(likelihood: Likelihood, ratio: float, tau_s: float) -> tuple[Choice
         # Newton's step, no longer than wide, and uphill where the surface is hollow.
         move = vector @ (along / np.maximum(value, np.maximum(np.abs(along) / _WIDE, 1e-12)))
         while slope @ move > 2.0 * CLOSE:
-            further = np.clip(np.round(place + move, _DECIMALS), low, high)
+            further = np.clip(np.round(place + move, 6), low, high)  # the rest differs between processors
             found = at(further)
             if found.log_posterior > here + CLOSE:
                 break
@@ -425,21 +400,7 @@ def _with_uncertainty(likelihood: Likelihood, best: Choice, hessian: FloatArray)
         tau_log_sd=tau_sd,
         sigma_prior_nT=prior.sigma_nT,
     )
-    return replace(best, noise=replace(noise, words=noise_words(noise)))
-
-
-def noise_words(noise: NoiseModel) -> str:
-    """The model in words."""
-    white = f"white noise {noise.sigma_nT:.3g} nT per axis"
-    if noise.axis_factor != (1.0, 1.0, 1.0):
-        white = "white noise " + ", ".join(f"{v:.3g}" for v in noise.white_nT) + " nT in x, y, z"
-    if noise.theta_rad <= 0:
-        return f"{white}, no attitude error"
-    memory = "white" if noise.tau_s <= 0 else f"over {noise.tau_s:.3g} s"
-    roll, where = noise.roll, ""
-    if roll.factor != 1.0:
-        where = f", {roll.factor:.3g} times as large about ({', '.join(f'{v:.2f}' for v in roll.axis)}) as across it"
-    return f"{white}, attitude error {np.degrees(noise.theta_rad):.2g} deg per axis{where}, {memory}"
+    return replace(best, noise=noise)
 
 
 class NoiseChoice(NamedTuple):
@@ -477,11 +438,7 @@ def noise_beside(problem: Problem, active: Sequence[Active]) -> NoiseChoice:
 
 
 def likely_noises(
-    problem: Problem,
-    whitener: Whitener,
-    residual_nT: FloatArray,
-    columns: FloatArray,
-    walk: float = 0.0,
+    problem: Problem, whitener: Whitener, residual_nT: FloatArray, columns: FloatArray, walk: float = 0.0
 ) -> list[Likely]:
     """Noise models all over what a residual (N, 3) with these columns (N, 3, C) fitted and the budget allow.
 
@@ -524,7 +481,7 @@ def select_noise(
     whole = np.asarray(there.all(axis=1), dtype=np.bool_)
     choice: Choice | None = None
     difference = residual_nT
-    for _ in range(_ROUNDS):
+    for _ in range(4):  # two settle all but records with many bit errors
         data = Data(residual_nT, design, image_nT, seconds, segment, weights, axes)
         likelihood = Likelihood(data, prior, like, walk)
         choice = best_noise(likelihood, None if choice is None else choice.noise)
@@ -554,14 +511,15 @@ def _axis_factor(
     whitener: Whitener, left_nT: FloatArray, now: tuple[float, float, float], whole: BoolArray
 ) -> tuple[float, float, float]:
     """White noise of each axis over the mean, from differences of neighbouring innovations: slow structure is none
-    of its business. whole: rows in body axes. Unchanged where the axes agree, within a quarter or within chance."""
+    of its business. whole: rows in body axes. Unchanged where the axes agree, within chance or within a quarter, which costs
+    at most 5 % (Kantorovich's bound)."""
     white, weights = whitener.apply_in_row_axes(left_nT)[whole], whitener.weights[whole]
     step = np.where((weights[1:] > 0) & (weights[:-1] > 0), np.diff(white, axis=0), np.nan)
     count = np.isfinite(step).sum(axis=0)
     if count.min() < 20:
         return now
     size = np.sqrt(np.nanmean(np.square(step), axis=0))
-    bar = max(_UNEVEN, 1.0 + 4.0 * np.sqrt(1.5 / count.min()))
+    bar = max(1.25, 1.0 + 4.0 * np.sqrt(1.5 / count.min()))
     if size.max() <= bar * size.min():
         return now
     factor = np.asarray(now) * size
@@ -581,15 +539,17 @@ def _likelier(likelihood: Likelihood, start: NoiseModel, uneven: NoiseModel, rol
 
 def _rolls(left_nT: FloatArray, image_nT: FloatArray) -> list[Roll]:
     """The likeliest axis of white turns, beside white noise, in residuals (N, 3) with images (N, 3, 3) of a turn, with the
-    factors that are tried."""
-    energy, best = float(np.sum(left_nT**2)), (-np.inf, _AXES[0])
+    factors that are tried: star trackers of fields of 8 to 20 deg know the roll 6 to 16 times worse (Liebe 2002)."""
+    # Of each pair of opposite directions one, 18 deg or less from any other direction.
+    axes = [np.array(one) / np.linalg.norm(one) for one in product(range(-2, 3), repeat=3) if one > (0, 0, 0)]
+    energy, best = float(np.sum(left_nT**2)), (-np.inf, axes[0])
     size = float(np.mean(np.sum(image_nT**2, axis=(1, 2)))) / 2.0
-    for axis in _AXES:
+    for axis in axes:
         turned = image_nT @ axis
         along, reach = np.sum(left_nT * turned, axis=1) ** 2, np.sum(turned**2, axis=1)
-        for share in _SHARES / max(size, 1e-9):
+        for share in np.geomspace(0.1, 100.0, 13) / max(size, 1e-9):
             variance = (energy - np.sum(share * along / (1.0 + share * reach))) / left_nT.size
             log = -left_nT.size * np.log(variance) - np.sum(np.log1p(share * reach))
             best = max(best, (float(log), axis), key=lambda one: one[0])
     axis = (float(best[1][0]), float(best[1][1]), float(best[1][2]))
-    return [Roll(axis, factor) for factor in _FACTORS]
+    return [Roll(axis, factor) for factor in (3.0, 10.0)]

@@ -14,10 +14,6 @@ import numpy as np
 from fluxtwin.sim.base.kernel_cache import kernel, part
 from fluxtwin.sim.base.types import FloatArray
 
-_NEWTON = 12
-"""Steps of Newton's iteration for the polar factor, at most. Scaled, it doubles the digits with each once it is near; nine
-are enough with the best scaling (Higham 1986, SIAM J. Sci. Stat. Comput. 7, 1160), that by the determinant is cheaper."""
-
 
 @part(error_model="numpy", inline="always")
 def _inner(a: FloatArray, b: FloatArray) -> float:
@@ -80,7 +76,8 @@ def fill_gains(
 def fill_turns(load: FloatArray, gains: FloatArray, turns: FloatArray) -> None:
     """Fill `turns` (N, 3, 3): from innovations of components taken one after the other to the symmetric root of a row's
     covariance, whose axes are nearest the row's own. With L the lower triangular root this is the transpose of its
-    orthogonal polar factor."""
+    orthogonal polar factor, by Newton's iteration, scaled by the determinant: nine steps are enough with the best scaling
+    (Higham 1986, SIAM J. Sci. Stat. Comput. 7, 1160)."""
     n = load.shape[2]
     X, C = np.empty((3, 3)), np.empty((3, 3))
     for t in range(load.shape[0]):
@@ -91,7 +88,7 @@ def fill_turns(load: FloatArray, gains: FloatArray, turns: FloatArray) -> None:
                     for k in range(n):
                         X[i, j] += load[t, i, k] * gains[t, j, k]
             X[i, i] = 1.0 / gains[t, i, n] if gains[t, i, n] > 0.0 else 1.0
-        for _ in range(_NEWTON):
+        for _ in range(12):
             for i in range(3):
                 a, b = (i + 1) % 3, (i + 2) % 3
                 for j in range(3):

@@ -13,14 +13,10 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from fluxtwin.calib.common.robust import MAD_TO_SIGMA
-from fluxtwin.gap.noise.whitening import Whitener, full_weights, kernels
+from fluxtwin.gap.noise.whitening import Whitener, kernels
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 
 CUT_SIGMA = 6.0  # two of a thousand million good components are cut
-_LARGEST_SHARE = 0.10  # of the rows: more are no spikes but something that the diagnosis must see
-_NEAR_ROWS = 7  # for the level around a component: three wrong ones of seven leave it
-_AROUND_ROWS = 25  # for the scatter around it
-_ROUNDS = 15  # of the fit of least absolute residuals, if it does not settle before
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,16 +41,6 @@ class RobustRows:
         """(N,) True for rows with a component cut."""
         return np.asarray(self.cut.any(axis=1), dtype=np.bool_)
 
-    @property
-    def rows_cut(self) -> int:
-        """How many these are."""
-        return int(self.cut_rows.sum())
-
-    @property
-    def components_cut(self) -> int:
-        """Scalar readings cut."""
-        return int(self.cut.sum())
-
 
 def standing_out(difference: FloatArray, least: float = 0.0, measured: BoolArray | None = None) -> FloatArray:
     """(N, 3) how far each component stands out of its neighbourhood, in robust sigmas of it.
@@ -70,25 +56,22 @@ def standing_out(difference: FloatArray, least: float = 0.0, measured: BoolArray
     rows = difference.shape[0]
     if rows < 3:
         return np.zeros_like(difference)
-    level = median_filter(difference, size=(min(_NEAR_ROWS, rows), 1), mode="reflect")
-    alone = np.minimum(np.abs(difference), np.abs(difference - level))
-    spread = MAD_TO_SIGMA * median_filter(np.abs(difference - level), size=(min(_AROUND_ROWS, rows), 1), mode="reflect")
-    return np.asarray(alone / np.maximum(np.maximum(spread, least), _scatter(difference - level)))
-
-
-def _scatter(difference: FloatArray) -> FloatArray:
-    """(k,) robust sigma of each component over all rows, never zero."""
-    scatter = MAD_TO_SIGMA * np.median(np.abs(difference), axis=0)
-    return np.asarray(np.maximum(scatter, 1e-9 + 1e-12 * np.max(np.abs(difference), axis=0)))
+    level = median_filter(difference, size=(min(7, rows), 1), mode="reflect")  # three wrong ones of seven leave it
+    apart = np.abs(difference - level)
+    alone = np.minimum(np.abs(difference), apart)
+    spread = MAD_TO_SIGMA * median_filter(apart, size=(min(25, rows), 1), mode="reflect")
+    over_all = np.maximum(MAD_TO_SIGMA * np.median(apart, axis=0), 1e-9 + 1e-12 * np.max(apart, axis=0))  # never zero
+    return np.asarray(alone / np.maximum(np.maximum(spread, least), over_all))
 
 
 def weights_of(distance: FloatArray, measured: BoolArray | None = None) -> FloatArray:
     """(N, 3) weights from how far the components stand out: 1, and 0 from 6 sigma on.
 
-    At most a tenth of the rows is cut, those that stand out most. What is not measured (N, 3) has weight 0.
+    At most a tenth of the rows is cut, those that stand out most: more are no spikes but something that the diagnosis must
+    see. What is not measured (N, 3) has weight 0.
     """
     worst = distance.max(axis=1)
-    allowed = max(1, int(_LARGEST_SHARE * worst.size))
+    allowed = max(1, int(0.10 * worst.size))
     bar = max(CUT_SIGMA, float(np.partition(worst, -allowed - 1)[-allowed - 1]) if worst.size > allowed else 0.0)
     return np.where(distance > bar if measured is None else (distance > bar) | ~measured, 0.0, 1.0)
 
@@ -100,7 +83,7 @@ def spike_weights(left_nT: FloatArray, whitener: Whitener, there: BoolArray) -> 
     there (N, 3): components that are measured. Those that are cut now are weighed like all others and may come back.
     """
     noise = whitener.noise
-    own = full_weights(None, left_nT.shape[0]) / noise.axis_variance(whitener.axes)
+    own = np.ones(left_nT.shape) / noise.axis_variance(whitener.axes)
     scaled = np.ascontiguousarray(left_nT / noise.sigma_nT)
     standard, plain = np.empty_like(scaled), np.empty_like(scaled)
     filtered = (whitener.load, whitener.decay, whitener.gains, whitener.covariance, whitener.weights)
@@ -114,7 +97,7 @@ def first_weights(residual_nT: FloatArray, design: FloatArray, there: BoolArray)
     Least squares first; if anything stands out of it, the fit of least absolute residuals, which a tenth of wild
     readings does not move. design: (N, 3, P); there (N, 3): components that are measured.
     """
-    for rounds in (1, _ROUNDS):
+    for rounds in (1, 15):
         left = residual_nT - design @ _fit(residual_nT[there], design[there], rounds)
         weights = weights_of(standing_out(left, measured=there), there)
         if (weights[there] > 0).all():

@@ -33,8 +33,6 @@ from fluxtwin.sim.base.types import FloatArray
 
 RMS = (0.003, 100.0)
 """Of the walk at the end of the record, over the noise of a reading: its prior is even in the logarithm between these."""
-_CLOSE = 0.02
-"""In the logarithm of the rate: a fifth of its standard deviation where 50 modes of the walk show."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +45,6 @@ class NoiseModel:
     """Error of the reference attitude, 1 sigma per body axis; rms over the axes."""
     tau_s: float
     """Its time constant; 0: white."""
-    words: str = ""
     axis_factor: tuple[float, float, float] = (1.0, 1.0, 1.0)
     """White noise of each body axis over sigma_nT; ones unless the axes differ by more than a quarter."""
     roll: Roll = ALIKE
@@ -73,6 +70,22 @@ class NoiseModel:
     def white_rms_nT(self) -> float:
         """White noise, rms over the axes."""
         return float(np.sqrt(np.mean(self.white_nT**2)))
+
+    @property
+    def words(self) -> str:
+        """For the provenance."""
+        white = f"white noise {self.sigma_nT:.3g} nT per axis"
+        if self.axis_factor != (1.0, 1.0, 1.0):
+            white = "white noise " + ", ".join(f"{v:.3g}" for v in self.white_nT) + " nT in x, y, z"
+        if self.theta_rad <= 0:
+            return f"{white}, no attitude error"
+        memory = "white" if self.tau_s <= 0 else f"over {self.tau_s:.3g} s"
+        roll, where = self.roll, ""
+        if roll.factor != 1.0:
+            where = (
+                f", {roll.factor:.3g} times as large about ({', '.join(f'{v:.2f}' for v in roll.axis)}) as across it"
+            )
+        return f"{white}, attitude error {np.degrees(self.theta_rad):.2g} deg per axis{where}, {memory}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,13 +151,13 @@ def make_whitener(
     """The whitening of one noise model on one design.
 
     image_nT (N, 3, 3) of a turn, as from `turn_images`; seconds (N,) increasing; segment (N,): where it
-    changes, nothing is known of the attitude error any more; weights (N,) or (N, 3): the white variance of a
+    changes, nothing is known of the attitude error any more; weights (N, 3): the white variance of a
     component is sigma**2 / weight, 0 for one that is to be passed over. axes: where rows have no attitude, the axes
     of images and weights; what is whitened is given in body axes all the same. walk: see `with_walk`; covariance:
     whether that of the state is kept.
     """
     rows = image_nT.shape[0]
-    full = full_weights(weights, rows) / noise.axis_variance(axes)
+    full = (np.ones((rows, 3)) if weights is None else weights) / noise.axis_variance(axes)
     if axes is not None:
         full = np.where(axes.measured, full, 0.0)
     load = np.asarray(image_nT, dtype=np.float64) * (noise.theta_rad / noise.sigma_nT)
@@ -182,15 +195,6 @@ def kernels() -> Any:
     return kernels
 
 
-def full_weights(weights: FloatArray | None, rows: int) -> FloatArray:
-    """(N, 3) weights from none, (N,) or (N, 3)."""
-    if weights is None:
-        return np.ones((rows, 3))
-    given = np.asarray(weights, dtype=np.float64)
-    wide = given[:, None] if given.ndim == 1 else given
-    return np.ascontiguousarray(np.broadcast_to(wide, (rows, 3)))
-
-
 def likeliest_rate(whitener: Whitener, residual_nT: FloatArray, fitted_nT: FloatArray) -> float | None:
     """The likeliest rate [nT/sqrt(s)] of a walk in a residual (N, 3) beside fitted columns (N, 3, q); None where a walk is
     hardly more likely than none."""
@@ -204,7 +208,8 @@ def likeliest_rate(whitener: Whitener, residual_nT: FloatArray, fitted_nT: Float
         return -float(log_det - wider - degrees * np.log(chi2 / energy))
 
     unit = whitener.noise.sigma_nT / np.sqrt(float(whitener.seconds[-1] - whitener.seconds[0]))
-    found = minimize_scalar(lost, bounds=np.log(unit * np.array(RMS)), options={"xatol": _CLOSE})
+    # A tolerance of a fifth of the standard deviation where 50 modes of the walk show.
+    found = minimize_scalar(lost, bounds=np.log(unit * np.array(RMS)), options={"xatol": 0.02})
     found_worth = worth(-float(found.fun), 1, samples_of(whitener.measured), 0.0)
     return float(np.exp(found.x)) if found_worth > THRESHOLD else None
 

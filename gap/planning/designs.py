@@ -24,23 +24,7 @@ from fluxtwin.sim.earth.constants import EARTH_RADIUS_KM, GM_EARTH_KM3_S2
 from fluxtwin.sim.earth.orbit import argument_of_latitude, orbital_rates
 from fluxtwin.sim.scenario.scenario import Scenario
 
-_FAR_M = ((0.0, 0.0, 2.0), (0.0, 2.0, 0.0), (2.0, 0.0, 0.0))
-"""Places of torquers of which only the coupling matters, which is given."""
-_ROUND = 0.01
-"""Eccentricity below which an orbit is taken as a circle; the Earth's oblateness alone makes a tenth of that of one."""
-_ARC_RAD = 1.0
-"""From so much of an orbit on its mean motion is that of the record; of less that of its energy, good to half a percent."""
-_LEAST_SWING_K = 1.0
 Kind = Literal["nadir", "yaw_slews", "slews", "tumble", "spin", "inertial_hold"]
-_MOST_TURN_DEG = 30.0
-"""Of the body between two rows: half of what a motion between recorded attitudes can be made of without a gyro."""
-_PEAK = 1.875
-"""Fastest rate of a rest-to-rest slew over its mean rate: 15 / 8, of its polynomial of fifth order."""
-_LEG_DEG = 90.0
-_TILT_DEG = 80.0
-"""Of roll and pitch at the most: at a right angle the angles of the papers lose one."""
-_LOAD_SHARE = 0.25
-_PERIODS_S = (10.0, 3600.0)
 
 
 def base_tree(closure: Closure, lsb_nT: float | None, field: str) -> dict[str, Any]:
@@ -68,14 +52,17 @@ def base_tree(closure: Closure, lsb_nT: float | None, field: str) -> dict[str, A
     columns = problem.setting.columns
     dipole = columns.get("dipole_B_Am2")
     if dipole is not None and np.nanmax(np.abs(dipole)) > 0:
-        tree["torquers"] = {"dipole_Am2": float(np.nanmax(np.abs(dipole))), "positions_m": [list(p) for p in _FAR_M]}
+        # Anywhere: only the coupling matters, which is given.
+        far_m = [[0.0, 0.0, 2.0], [0.0, 2.0, 0.0], [2.0, 0.0, 0.0]]
+        tree["torquers"] = {"dipole_Am2": float(np.nanmax(np.abs(dipole))), "positions_m": far_m}
         coupling = np.zeros((3, 3)) if instrument.T_nT_per_Am2 is None else np.asarray(instrument.T_nT_per_Am2)
         magnetometer["T_nT_per_Am2"] = coupling.tolist()
     return tree | _housekeeping(problem) | _drivers(problem)
 
 
 def _orbit(time: TimeArray, r_N_km: FloatArray, v_N_km_s: FloatArray) -> dict[str, Any]:
-    """Through the last row, with the mean motion of the record: good to some tens of km, which is nothing to a plan."""
+    """Through the last row, with the mean motion of the record: good to some tens of km, which is nothing to a plan. Of a
+    short arc with that of its energy, good to half a percent."""
     last = slice(-1, None)
     T = frames.rotation_TN(time[last])
     r, v = T.apply(r_N_km[last])[0], T.apply(v_N_km_s[last])[0]
@@ -87,7 +74,7 @@ def _orbit(time: TimeArray, r_N_km: FloatArray, v_N_km_s: FloatArray) -> dict[st
     axis_km = float(np.median(1.0 / (2.0 / np.linalg.norm(r_N_km, axis=1) - (v_N_km_s**2).sum(1) / GM_EARTH_KM3_S2)))
     found = {"epoch_utc": epoch.iso(time[-1], "ms"), "inclination_deg": float(np.degrees(tilt))}
     latitude = argument_of_latitude(time, r_N_km, v_N_km_s)
-    if e > _ROUND:
+    if e > 0.01:  # the Earth's oblateness alone makes a tenth of that of a circle
         along = np.array([np.cos(node), np.sin(node), 0.0])
         across = np.cross(normal / np.linalg.norm(normal), along)
         perigee = float(np.arctan2(shape @ across, shape @ along))
@@ -95,7 +82,7 @@ def _orbit(time: TimeArray, r_N_km: FloatArray, v_N_km_s: FloatArray) -> dict[st
         latitude = perigee + E - e * np.sin(E)
         found |= {"eccentricity": e, "argument_of_perigee_deg": float(np.degrees(perigee))}
     latitude = np.unwrap(latitude)
-    if np.ptp(latitude) > _ARC_RAD and np.diff(latitude).max() < np.pi / 2:
+    if np.ptp(latitude) > 1.0 and np.diff(latitude).max() < np.pi / 2:
         seconds = epoch.seconds_since(time, time[0])
         for _ in range(3):  # the rates change little with the axis: a digit or two more each time
             rates = orbital_rates(axis_km, e, tilt)
@@ -118,7 +105,7 @@ def _housekeeping(problem: Problem) -> dict[str, Any]:
     temperature = columns.get("temperature_degC")
     if temperature is not None and np.isfinite(temperature).any():
         low, high = (float(value) for value in np.nanpercentile(temperature, (2.0, 98.0)))
-        sunlit = max(high, low + _LEAST_SWING_K)
+        sunlit = max(high, low + 1.0)
         found["thermal"] = {"sunlit_degC": sunlit, "eclipse_degC": low, "time_constant_min": 20.0}
     return found
 
@@ -145,7 +132,7 @@ class LimitsSection(Section):
     """Pulses of all torquers, each axis by itself."""
     load_test: bool = True
     """Recorded drivers on and off, and a load of a quarter of the array's current."""
-    pulse_s: Annotated[float, Field(ge=_PERIODS_S[0], le=_PERIODS_S[1])] = 120.0
+    pulse_s: Annotated[float, Field(ge=10.0, le=3600.0)] = 120.0
     """How long a torquer or a load keeps its state."""
     wait_days: Annotated[tuple[NonNegative, ...], BeforeValidator(as_tuple)] = (90.0,)
     """Other seasons that may be waited for."""
@@ -202,7 +189,8 @@ def designs(base: Scenario, limits: LimitsSection, hours: float, step_s: float, 
 def _attitudes(
     base: Scenario, limits: LimitsSection, hours: float, step_s: float
 ) -> Iterator[tuple[Kind, str, Mapping[str, Any]]]:
-    rate = min(limits.max_rate_deg_s, _MOST_TURN_DEG / step_s)
+    # Between two rows half of what a motion between recorded attitudes can be made of without a gyro.
+    rate = min(limits.max_rate_deg_s, 30.0 / step_s)
     free = limits.max_off_nadir_deg >= 180.0
     as_flown = base.attitude if base.attitude.mode == "earth_pointing" else None
     for kind in limits.attitudes:
@@ -212,7 +200,7 @@ def _attitudes(
         elif kind == "yaw_slews":
             yield kind, f"yaw slews at up to {rate:.2g} deg/s", _slews([(90.0, 0.0, 0.0)] * 4, rate, hours)
         elif kind == "slews":
-            tilt = min(limits.max_off_nadir_deg, _TILT_DEG)
+            tilt = min(limits.max_off_nadir_deg, 80.0)  # at a right angle the angles of the papers lose one
             if tilt > 0:
                 legs = [(90.0, 0.0, 0.0), (0.0, tilt, 0.0), (0.0, -tilt, 0.0), (0.0, 0.0, tilt), (0.0, 0.0, -tilt)]
                 yield kind, f"slews about three axes at up to {rate:.2g} deg/s", _slews(legs, rate, hours)
@@ -235,9 +223,9 @@ def _slews(legs: list[tuple[float, float, float]], rate_deg_s: float, hours: flo
             places.append((yaw, 0.0, 0.0))
         else:
             places += [(yaw, leg[1], leg[2]), (yaw, 0.0, 0.0)]
-    duration_s = _LEG_DEG / rate_deg_s * _PEAK
+    duration_s = 90.0 / rate_deg_s * 1.875  # 15 / 8: the fastest rate of its polynomial of fifth order over the mean
     count = int(np.ceil(3600.0 * hours / duration_s)) + 1
-    points, turned = [], 0.0
+    points = []
     for number in range(max(count, 2)):
         round_, place = divmod(number, len(places) - 1)
         y, r, p = places[place]
@@ -271,7 +259,7 @@ def _tests(base: Scenario, limits: LimitsSection) -> Iterator[tuple[str, dict[st
     if limits.load_test and (base.drivers or base.power is not None):
         changes: dict[str, Any] = {}
         if base.power is not None:
-            load_A = base.power.switched_load_A or _LOAD_SHARE * base.power.full_sun_current_A
+            load_A = base.power.switched_load_A or 0.25 * base.power.full_sun_current_A
             changes = {"power.switched_load_A": load_A, "power.switched_every_s": limits.pulse_s}
         for name, section in base.drivers.items():
             if section.high is not None and section.high != (section.low or 0.0):

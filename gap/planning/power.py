@@ -22,7 +22,7 @@ from fluxtwin.gap.linear.projection import least_share, orthonormal, projected
 from fluxtwin.gap.noise.choice import NoiseModel, whitener_of
 from fluxtwin.gap.noise.whitening import Whitener
 from fluxtwin.gap.problem.problem import Problem
-from fluxtwin.gap.selection.criterion import IN_GROUP, SHAPE, TWENTY_TO_ONE, penalty, samples_of, stands_out, weight_of
+from fluxtwin.gap.selection.criterion import IN_GROUP, LOG_FURTHER, SHAPE, penalty, samples_of, stands_out, weight_of
 from fluxtwin.gap.selection.detectable import smallest
 from fluxtwin.gap.selection.refit import Readings, limits, refit
 from fluxtwin.gap.selection.score import Board, board, whitened
@@ -31,17 +31,7 @@ from fluxtwin.sim.effects.base import GOES_ON, SignalEffect
 
 _DRAWS = 400
 """A power of 0.9 is then good to 0.015."""
-_SEED = 18
 FRAMES = ("body", "orbital", "inertial", "earth")
-_SEEN = 0.01
-"""Share of its energy that a column of something unknown must have beside what is re-estimated, to be a part of it."""
-_PLAUSIBLE = 4
-"""Sizes of a cause with several parameters over which its power is averaged: by one draw a manoeuvre may look better than it
-is, and the one that does is chosen."""
-_REFITTED = 5
-_FAR = 40.0
-"""Candidates that are refitted: so many, and not where the cause does better by so much; noise makes up for half of it once
-in a thousand draws, sd 2 sqrt(40)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,12 +60,11 @@ class Cause:
 
 @dataclass(frozen=True, eq=False)
 class Placed:
-    """Structure that nothing in the catalogue explains: what it follows, in which axes it may be steady, and how large."""
+    """Structure that nothing in the catalogue explains: what it follows, and how large it is."""
 
     condition: str | None
-    frames: tuple[str, ...]
     sizes: dict[str, FloatArray]
-    """By frame (k,): of each column of it, by itself, nT."""
+    """By frame in which it may be steady (k,): of each column of it, by itself, nT."""
 
 
 class Flown:
@@ -86,7 +75,7 @@ class Flown:
         self.whitener: Whitener = whitener_of(problem, noise, None)
         self.found, self.untestable = candidates(problem)
         self._white = whitened(self.found, self.whitener, problem.rows)
-        self._nuisance = self.whitener.apply(problem.nuisance) if problem.modelled else problem.nuisance
+        self._nuisance = self.whitener.apply(problem.nuisance)
         self._in_frames: dict[str | None, dict[str, FloatArray]] = {}
         self._shown: dict[int, dict[str, float]] = {}
         self._signals: dict[Cause, tuple[list[Candidate], FloatArray, FloatArray]] = {}
@@ -149,6 +138,7 @@ class Flown:
 
         They are taken as alike in their typical sizes, with the common size that is likeliest (empirical Bayes), and drawn
         from what is then known of them, a few times: what is badly seen here would else be nothing elsewhere, or too much.
+        By one draw a manoeuvre may look better than it is, and the one that does is chosen.
         """
         scale = np.array([parameter.scale for parameter in cause.effect.parameters])
         if scale.size == 1:
@@ -162,7 +152,7 @@ class Flown:
         spread = 1.0 + sizes**2 * values
         likely = -0.5 * np.sum(np.log(spread) + values * along**2 / spread, axis=1)
         number = int(np.argmax(likely))
-        normal = np.random.default_rng(_SEED).standard_normal((_PLAUSIBLE, scale.size))
+        normal = np.random.default_rng(18).standard_normal((4, scale.size))
         drawn = along * (1.0 - 1.0 / spread[number]) + sizes[number] / np.sqrt(spread[number]) * normal
         low, high = limits([(cause.effect, cause.theta)])
         first, *also = np.clip(drawn @ vectors.T * scale, low, high)
@@ -183,14 +173,14 @@ class Flown:
             size = place.sizes[frame][number]
             column = images[frame][:rows, :, number : number + 1] * size
             left = []
-            for other in place.frames:
+            for other in place.sizes:
                 if other != frame:
                     beside = orthonormal(np.concatenate([nuisance, images[other][:rows]], axis=2))
                     flat = column.reshape(-1)
                     left.append(float(np.sum((flat - beside @ (beside.T @ flat)) ** 2)))
             # The drops differ by what the other leaves, with twice its root as standard deviation.
             worse = min(left)
-            power.append(float(norm.sf((TWENTY_TO_ONE - worse) / (2.0 * np.sqrt(max(worse, 1e-12))))))
+            power.append(float(norm.sf((LOG_FURTHER - worse) / (2.0 * np.sqrt(max(worse, 1e-12))))))
         return float(np.mean(power)) if power else 0.0
 
     def place(self, condition: str | None, frames: Sequence[str], energy: float) -> Placed | None:
@@ -203,9 +193,9 @@ class Flown:
         for frame in frames:
             flat = images[frame].reshape(-1, images[frame].shape[2])
             seen = np.sum((flat - basis @ (basis.T @ flat)) ** 2, axis=0)
-            live = seen > _SEEN * np.sum(flat**2, axis=0)
+            live = seen > 0.01 * np.sum(flat**2, axis=0)
             sizes[frame] = np.where(live, np.sqrt(energy / np.where(live, seen, 1.0)), 0.0)
-        return Placed(condition, tuple(frames), sizes)
+        return Placed(condition, sizes)
 
     def _images(self, condition: str | None) -> dict[str, FloatArray]:
         """{frame: (M, 3, k) whitened} of a field that follows a condition; none where this design has it not."""
@@ -242,7 +232,8 @@ class Flown:
         scored = self.board(found, white, signal)
         drop = scored.statistic
         worse = (drop.max() - drop) / (1.0 + SHAPE * drop.max())
-        near = [int(n) for n in np.argsort(worse) if worse[n] < _FAR and scored.rank[n] > 0][:_REFITTED]
+        # Noise makes up for half of 40 once in a thousand draws, sd 2 sqrt(40).
+        near = [int(n) for n in np.argsort(worse) if worse[n] < 40.0 and scored.rank[n] > 0][:5]
         first = next(n for n, c in enumerate(found) if c.effect == cause.effect)
         white = np.array(white)
         for number in dict.fromkeys([first, *near]):
@@ -273,7 +264,7 @@ def probability_of(name: str, others: Collection[str], scored: Board) -> float:
     if not any(scored.rank[n] for n, one in enumerate(names) if one == name):
         return 0.0
     values, vectors = np.linalg.eigh(scored.unit_gram)
-    noise = np.random.default_rng(_SEED).standard_normal((values.size, _DRAWS))
+    noise = np.random.default_rng(18).standard_normal((values.size, _DRAWS))
     score = scored.score[:, None] + (vectors * np.sqrt(np.maximum(values, 0.0))) @ noise
     rank = scored.rank[:, None].astype(float)
     drop = np.zeros((len(names), _DRAWS))

@@ -21,16 +21,9 @@ from fluxtwin.sim.effects.base import SignalEffect
 from fluxtwin.sim.effects.catalogue import find_effect
 from fluxtwin.sim.scenario.scenario import Scenario
 
-_MOST_ALIKE = 4
-"""Names of one question: six pairs."""
-_POSSIBLE = 0.01
-"""Probability from which axes are asked about: that from which the page shows them."""
-_EARLY = (0.03, 0.08, 0.15)
 _SHARES = (0.25, 0.35, 0.5, 0.7, 0.85)
 """Of the longest flight, at which the power is computed too; after less than a quarter nothing is proposed: what noise there
 is must be found from the same rows."""
-_KEPT = 3
-_WORTH_SAYING = 0.02
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +68,7 @@ def ambiguous(names: Sequence[str], flown: Flown, first: Cause, recorded: bool =
     recorded: whether they looked alike in what was flown; else one that does not has its typical size.
     """
     causes = [first]
-    for name in [name for name in names if name != first.name][: _MOST_ALIKE - 1]:
+    for name in [name for name in names if name != first.name][:3]:  # six pairs
         other = flown.imitating(first, name)
         if (first.over or not recorded) and isinstance(find_effect(name), SignalEffect):
             # What has ended looks like nothing on a later flight.
@@ -100,7 +93,7 @@ def by_pairs(question: Open) -> list[Open]:
 def to_place(found: Mapping[str, Any], flown: Flown) -> list[Open]:
     """The question in which axes an unknown field is steady: those that the diagnosis leaves, or any."""
     shares = found["where"]["probabilities"]["frame"]
-    frames = [frame for frame in FRAMES if shares.get(frame, 0.0) >= _POSSIBLE]
+    frames = [frame for frame in FRAMES if shares.get(frame, 0.0) >= 0.01]  # that the page shows
     frames = frames if len(frames) > 1 else list(FRAMES)
     gap, condition = found["gap"], found["where"]["condition"]
     excess = max(gap["before_nT"] ** 2 - gap["floor_nT"] ** 2, 0.0) / max(gap["floor_nT"], 1e-3) ** 2
@@ -144,8 +137,8 @@ def cause_of(effect: Mapping[str, Any]) -> Cause:
 
 def choose(question: Open, flown: Sequence[tuple[Design, Flown]]) -> Question:
     """The best three manoeuvres for a question: those that are enough by their hours, then the others by their power."""
-    tried = [one for each in flown if (one := _shortest(question, *each)).power >= _WORTH_SAYING]
-    courses = [_course(question, one) for one in sorted(tried, key=_rank)[:_KEPT]]
+    tried = [one for each in flown if (one := _shortest(question, *each)).power >= 0.02]
+    courses = [_course(question, one) for one in sorted(tried, key=_rank)[:3]]
     by_manoeuvre = question.kind == "place" or (question.kind == "tell_apart" and courses)
     instead = "" if by_manoeuvre else find_effect(question.names[0]).settled_by
     same = next((one for one in flown if one[0].kind == "nadir" and not one[0].tests and not one[0].wait_days), None)
@@ -185,7 +178,7 @@ def _rank(one: _Tried) -> tuple[bool, bool, float, bool, float]:
 
 def _course(question: Open, one: _Tried) -> Course:
     rows, hours = one.view.problem.rows, one.view.problem.setting.seconds / 3600.0
-    at = sorted({*(max(int(rows * share), 2) for share in (*_EARLY, *_SHARES)), one.rows, rows})
+    at = sorted({*(max(int(rows * share), 2) for share in (0.03, 0.08, 0.15, *_SHARES)), one.rows, rows})
     curve = [(float(hours[part - 1]), _least(_answers(question, one.view, part))) for part in at]
     flies, design = float(hours[one.rows - 1]), one.design
     scenario = shortened(design.scenario, flies)

@@ -139,7 +139,7 @@ def concluded(problem: Problem, robust: RobustRows, found: Weighed, shapes: tupl
     """The answer that a weighed search with these shapes leads to."""
     (under_way, untestable, _), chosen = found.searched, found.chosen
     whitener = under_way.channel.whitener
-    result = _stripped(problem, result_of(under_way, untestable, chosen.fit, chosen.beside), signals_of(shapes))
+    result = result_of(under_way, untestable, chosen.fit, chosen.beside, len(problem.modelled))
     alone, (_, fitted) = problem.derivatives(result.modelled_alone), found.left(problem, shapes)
     rest = (chosen.left, found.known, found.worth, found.handicap, shapes)
     return Answer(whitener.noise, robust, whitener, result, alone, fitted, *rest)
@@ -295,18 +295,3 @@ def _beside(problem: Problem, signals: Sequence[Active]) -> Problem:
     every = [*problem.modelled_active, *signals]
     effects = tuple(effect for effect, _ in every if isinstance(effect, SignalEffect))
     return replace(problem, modelled=effects, modelled_theta=tuple(theta for _, theta in every))
-
-
-def _stripped(problem: Problem, result: SearchResult, signals: Sequence[Active]) -> SearchResult:
-    """The result with those signals not among what is re-estimated: they are causes, and in the residual."""
-    if not signals:
-        return result
-    count = len(problem.modelled)
-    modelled, alone = result.modelled[:count], result.modelled_alone[:count]
-    return replace(
-        result,
-        modelled=modelled,
-        modelled_alone=alone,
-        residual_nT=problem.residual_of([*modelled, *result.chosen]),
-        residual_alone_nT=problem.residual_of(alone),
-    )

@@ -46,8 +46,6 @@ from fluxtwin.gap.selection.forward import LARGEST
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.chain import Active
 
-_ROUNDS = 3
-_SETTLED = 0.2  # in the logarithm of the rate
 _WALK, _LIKE_A_WALK = "bias_random_walk", ("bias_step", "linear_drift")
 """A walk's largest excursion looks like a step, its whole way like a drift: what a name can be before it is a walk."""
 
@@ -205,14 +203,14 @@ class Structured:
         """A walk in this noise and the effects given it; rate: a first guess."""
         whitener = whitener_of(self.problem, noise, answer.robust.weights)
         about = (self.dictionary, self.known, answer.shapes)
-        for _ in range(_ROUNDS):
+        for _ in range(3):
             if rate is None:
                 return None
             before = rate
             found = weighed_with(self.problem, answer.robust, with_walk(whitener, rate), *about)
             left = found.left(self.problem, answer.shapes)
             rate = likeliest_rate(whitener, *left)
-            if rate is not None and abs(np.log(rate / before)) < _SETTLED:
+            if rate is not None and abs(np.log(rate / before)) < 0.2:
                 break
         if rate is None:
             return None
@@ -227,7 +225,8 @@ class Structured:
 
     def with_line(self, answer: Answer, fast: FullRate | None) -> Answer:
         """A line that only the full rate shows, with its name or as structure that has none."""
-        if fast is None or fast.line.frequency_Hz <= fast.slow_Hz or fast.line.worth <= THRESHOLD:
+        spacing_s = float(np.median(np.diff(self.problem.setting.seconds)))
+        if fast is None or fast.line.frequency_Hz <= 0.5 / spacing_s or fast.line.worth <= THRESHOLD:
             return answer
         wheel = wheel_line(fast.problem.setting, fast.left, fast.line)
         if wheel is not None and wheel.confirmed:

@@ -27,8 +27,6 @@ from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.chain import Active
 from fluxtwin.sim.spacecraft.dynamics.vehicle import Vehicle
 
-_SURE_RAD = np.radians(5.0)
-"""A standing error of the attitude that is known no better is not stated."""
 _NAMES = {effect.name for effect in DYNAMICS}
 _NOTHING = Structure(0.0, 0.0, "none", "")
 
@@ -195,7 +193,7 @@ def _how_far(channel: MomentumChannel, fit: Fit) -> tuple[MomentumGap, float]:
     errors = {
         axis: (float(np.degrees(value)), float(np.degrees(sigma)))
         for axis, value, sigma in zip("xyz", value[at], sigma[at], strict=True)
-        if sigma < _SURE_RAD
+        if sigma < np.radians(5.0)
     }
     before_deg, after_deg, floor_deg = (float(np.degrees(one)) for one in (far.before_nT, far.after_nT, floor))
     longest = max(float(w.seconds[-1] - w.seconds[0]) for w in windows.windows)

@@ -39,19 +39,14 @@ from fluxtwin.gap.hypotheses.blocks import (
     step_block,
 )
 from fluxtwin.gap.hypotheses.candidates import Candidate
-from fluxtwin.gap.linear.projection import SHARE_LEFT, ProjectedResidual, Whitens, projected, share_mimicked
+from fluxtwin.gap.linear.projection import SHARE_LEFT, ProjectedResidual, Whitens, orthonormal, projected
 from fluxtwin.gap.problem.problem import Problem
 from fluxtwin.gap.records.diagnosis import Place
-from fluxtwin.gap.selection.criterion import SHAPE_ERROR, THRESHOLD, TWENTY_TO_ONE, penalty
+from fluxtwin.gap.selection.criterion import LOG_FURTHER, SHAPE_ERROR, THRESHOLD, penalty
 from fluxtwin.gap.selection.score import ALIKE
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.effects.base import STAGES as ALL_STAGES
 
-_PARTS = (8, 32, 128)
-"""Into which the knots cut a record. Of 60 gaps of unknown cause on a tuning seed (docs/design/ablation.md) the likeliest
-stage is the true one in 27 without courses, in 39 with them."""
-_LARGEST = 12.0
-"""Logarithm of the largest size of a course over the noise, and of the noise over the smallest: far beyond what is seen."""
 _NOTHING = "none"
 
 
@@ -70,7 +65,7 @@ class CourseFit:
     def worth(self, variance: float, samples: float) -> tuple[float, float, float]:
         """Twice the log of its Bayes factor against noise of that variance, the drop of chi-square, and the parameters
         that bring it, counted by how free they are."""
-        sizes = np.exp(np.arange(-_LARGEST, _LARGEST, 0.5))[:, None]
+        sizes = np.exp(np.arange(-12.0, 12.0, 0.5))[:, None]  # over the noise: far beyond what is seen
         free = sizes * self.energy / (1.0 + sizes * self.energy)
         drops = (self.square / self.energy * free).sum(axis=1) / variance
         values = drops - np.log1p(sizes * self.energy).sum(axis=1)
@@ -80,7 +75,8 @@ class CourseFit:
 
 
 def courses(problem: Problem, left: ProjectedResidual) -> list[CourseFit]:
-    """A course at each stage, in each frame, on each scale."""
+    """A course at each stage, in each frame, on each scale. Of 60 gaps of unknown cause on a tuning
+    seed (docs/design/ablation.md) the likeliest stage is the true one in 27 without courses, in 39 with them."""
     carrier, steady, seconds = Carrier(problem), always(problem.setting), problem.setting.seconds
     late = carrier.late(steady)
     carried: list[tuple[Mapping[str, float], str | None, FloatArray]] = [
@@ -92,7 +88,8 @@ def courses(problem: Problem, left: ProjectedResidual) -> list[CourseFit]:
         *(({"field": 1.0}, frame, carrier.additive(steady, frame)) for frame in ("orbital", "inertial", "earth")),
         *(({"attitude": 1.0}, frame, carrier.turned(steady, frame)) for frame in ("body", "orbital", "inertial")),
     ]
-    spacings = [float(seconds[-1] - seconds[0]) / parts for parts in _PARTS]
+    # Into so many parts the knots cut a record.
+    spacings = [float(seconds[-1] - seconds[0]) / parts for parts in (8, 32, 128)]
     scales = [_hats(seconds, one) for one in spacings if one > 2.0 * float(np.median(np.diff(seconds)))]
     smooth = [_smooth(left, *one, scale) for scale in scales for one in carried]
     # A clock does not jump to and fro from row to row; rows that are repeated or out of order do.
@@ -127,12 +124,8 @@ def _of_each_row(
 def _hats(seconds: FloatArray, spacing: float) -> FloatArray:
     """(N, k) of a straight line between knots, by its values at those that have rows beside them."""
     place = (seconds - seconds[0]) / spacing
-    before = np.floor(place).astype(np.intp)
-    knots = np.unique(np.concatenate([before, before + 1]))
-    found, rows = np.zeros((seconds.size, knots.size)), np.arange(seconds.size)
-    found[rows, np.searchsorted(knots, before)] = before + 1 - place
-    found[rows, np.searchsorted(knots, before + 1)] += place - before
-    return found
+    knots = np.unique(np.floor([place, place + 1.0]))
+    return np.asarray(np.maximum(1.0 - np.abs(place[:, None] - knots), 0.0))
 
 
 @dataclass(frozen=True)
@@ -371,7 +364,7 @@ def _equivalent(
     own = [value if one.stage == stage else -1.0 for one, value in zip(hypotheses, weight, strict=True)]
     best = hypotheses[int(np.argmax(own))]
     if best.fit is None:
-        near = max(one.worth for one in hypotheses if one.stage == stage) - TWENTY_TO_ONE
+        near = max(one.worth for one in hypotheses if one.stage == stage) - LOG_FURTHER
         same = {one.stage for one in hypotheses if one.worth >= near} - {stage}
         return tuple(name for name in ALL_STAGES if name in same)
     same = set(best.fit.block.stages) - {stage}
@@ -383,6 +376,6 @@ def _equivalent(
         if other.fit is None or other.stage in same | {stage} or its_gain < 0.9 * gain or its_rank > 2 * rank + 3:
             continue
         columns, _ = left.project(other.fit.block.make())
-        if share_mimicked(image, columns) >= ALIKE:
+        if np.sum((orthonormal(columns).T @ image) ** 2) >= ALIKE * np.sum(image**2):
             same.add(other.stage)
     return tuple(name for name in ALL_STAGES if name in same)

@@ -23,6 +23,7 @@ from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
 from fluxtwin.sim.earth import epoch, frames
 from fluxtwin.sim.earth.field import field_N_nT
 from fluxtwin.sim.earth.field_models import FieldModel
+from fluxtwin.sim.earth.references import triad
 from fluxtwin.sim.effects.base import SignalEffect
 from fluxtwin.sim.effects.catalogue import find_effect
 from fluxtwin.sim.effects.chain import Active, Chain, jacobians
@@ -33,8 +34,6 @@ from fluxtwin.sim.telemetry.record import Telemetry, recorded_columns
 DEFAULT_MODELLED = ("bias", "scale_misalignment")
 CALIBRATION = (*DEFAULT_MODELLED, "torquer_coupling")
 """Effects that S, b and T of a magnetometer say whole."""
-_OTHER_STAMPS = np.timedelta64(1, "D")  # so far beyond the model's ends a clock error may lead a trial
-_LARGEST_ERROR = 5.0  # times its sigma: what an attitude error is taken to be at the most
 
 
 class Roll(NamedTuple):
@@ -86,8 +85,6 @@ class Problem:
     modelled: tuple[SignalEffect, ...]
     """Effects whose parameters are re-estimated as nuisance in every test."""
     budget: Budget
-    left_out: Mapping[str, int]
-    """Rows not used, by reason."""
     modelled_theta: tuple[FloatArray, ...] = ()
     """Parameters of the modelled effects about which everything is linear; empty: zero. See `refit.settled`."""
     axes: RowAxes | None = None
@@ -158,7 +155,8 @@ class Problem:
         """The residual (N, 3) as if an attitude error theta gave theta x B alone.
 
         A turn also shortens the component along the field by half of theta squared: 9 nT at 1 deg, always of one sign.
-        What the residual across the field says of theta is believed as far as the declared error goes, or the one found.
+        What the residual across the field says of theta is believed as far as five times the declared error, or the one
+        found.
         """
         sigma_rad = self.budget.attitude_sigma_rad or self.attitude_found_rad
         if not sigma_rad:
@@ -167,7 +165,7 @@ class Problem:
         along = field_B_nT / np.maximum(size_nT, 1e-9)[:, None]
         across = residual_nT - np.einsum("nc,nc->n", residual_nT, along)[:, None] * along
         turn_rad = np.linalg.norm(across, axis=1) / np.maximum(size_nT, 1e-9)
-        turn_rad = np.where(turn_rad < _LARGEST_ERROR * sigma_rad, turn_rad, 0.0)
+        turn_rad = np.where(turn_rad < 5.0 * sigma_rad, turn_rad, 0.0)
         return np.asarray(residual_nT + (0.5 * turn_rad**2 * size_nT)[:, None] * along)
 
     def in_row_axes(self, columns: FloatArray) -> FloatArray:
@@ -249,9 +247,9 @@ def pose(
         if not isinstance(effect, SignalEffect):
             raise BadInput(f"{name} has no parameters to re-estimate", where="--modelled", wanted="a signal effect")
         effects.append(effect)
-    used, left_out = _usable(telemetry)
+    used = _usable(telemetry)
     model.pieces(used.time)
-    model = model.lasting(_OTHER_STAMPS)
+    model = model.lasting(np.timedelta64(1, "D"))  # so far beyond its ends a clock error may lead a trial
     assert used.r_N_km is not None
     r, v, known = np.array(used.r_N_km), _velocity(used), used.has_attitude
     q = np.tile([0.0, 0.0, 0.0, 1.0], (known.size, 1)) if used.q_NB is None else np.array(used.q_NB)
@@ -267,7 +265,7 @@ def pose(
     axes = None
     if not known.all():
         setting, axes = _with_pseudo_attitude(setting, used, known, budget)
-    return Problem(used, Chain(setting), tuple(frozen), tuple(effects), budget, left_out, axes=axes)
+    return Problem(used, Chain(setting), tuple(frozen), tuple(effects), budget, axes=axes)
 
 
 def calibrated(problem: Problem, modelled: Sequence[Active]) -> Problem:
@@ -321,9 +319,10 @@ def _with_pseudo_attitude(
     field_B = row_axes.calibrated(np.array(used.mag_B_nT), setting.instrument, used.dipole_B_Am2)
     nadir_N = -r_N_km / np.linalg.norm(r_N_km, axis=1)[:, None]
     nadir_B, ratio = row_axes.usable_nadir(used.nadir_B, known, R_BN, nadir_N, field_N, budget.attitude_sigma_rad)
-    R_BN = row_axes.pseudo_attitude(R_BN, known, field_N, field_B)
-    with_nadir = np.any(nadir_B != 0.0, axis=1)
-    R_BN = row_axes.with_nadir_exact(R_BN, with_nadir, nadir_B, nadir_N, field_N, field_B)
+    q = row_axes.pseudo_attitude(R_BN, known, field_N, field_B)
+    if (to := np.any(nadir_B != 0.0, axis=1)).any():  # nadir exactly, and the field in its plane
+        q[to] = (triad(nadir_B[to], field_B[to]).inv() * triad(nadir_N[to], field_N[to])).as_quat()
+    R_BN = Rotation.from_quat(q)
     motion = replace(_motion(setting), R_BN=R_BN, attitude_known=known)
     filled = replace(setting, motion=motion, field_N_nT=field_N, attitude_known=known)
     matrix = np.eye(3) + setting.instrument.S
@@ -352,7 +351,7 @@ def _another_sensor(axes: RowAxes) -> BoolArray:
     return np.asarray((held[1:] != held[:-1]) & (held[:-1] > 0), dtype=np.bool_)
 
 
-def _usable(telemetry: Telemetry) -> tuple[Telemetry, dict[str, int]]:
+def _usable(telemetry: Telemetry) -> Telemetry:
     if telemetry.r_N_km is None:
         raise BadInput("the telemetry has no position", where="r_x_km r_y_km r_z_km", wanted="positions, or --tle FILE")
     needs = {"no reading": telemetry.has_reading, "no position": telemetry.has_position}
@@ -367,7 +366,7 @@ def _usable(telemetry: Telemetry) -> tuple[Telemetry, dict[str, int]]:
     if not telemetry.mag_B_nT[usable].any():
         zero = "the magnetometer reads zero throughout: nothing can be diagnosed"
         raise NoAnswer(zero, evidence={"left_out": left_out})
-    return telemetry.select(usable), left_out
+    return telemetry.select(usable)
 
 
 def _velocity(telemetry: Telemetry) -> FloatArray:

@@ -12,7 +12,6 @@ row has an attitude, a calibration of |B| says where to start.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -22,18 +21,10 @@ from fluxtwin.sim.base.errors import NoAnswer
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.earth.field import field_N_nT
 from fluxtwin.sim.earth.field_models import FieldModel
-from fluxtwin.sim.earth.references import triad
 from fluxtwin.sim.spacecraft.sensors.magnetometer import Magnetometer
 from fluxtwin.sim.telemetry.record import Telemetry
 
-_LEAST_SINE = 0.17
-"""Of the angle between nadir and field: nearer than ten degrees the plane of the two is lost in noise."""
 _FEWEST = 20  # rows with nadir, in a row or beside an attitude: fewer do not show how its error goes on
-_NEAR = 0.1
-"""Of the field: a raw magnetometer that is right to this is where Gauss-Newton may start."""
-_OPEN = 0.02
-"""Of the field. A bias that is open by this much moves |B| by half its square over |B|, some 8 nT in 40,000, whatever the
-linear fit makes of it: about the least noise of a magnetometer in orbit."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,17 +59,10 @@ class RowAxes:
 
     def in_row_axes(self, columns: FloatArray) -> FloatArray:
         """Columns (N, 3) or (N, 3, P) in body axes, turned into the rows' own axes, zero where not measured."""
-        here, turn, measured = self._without_attitude
-        turned = np.array(columns, dtype=np.float64)
-        part = np.matmul(turn, turned[here].reshape(here.size, 3, -1)) * measured
+        turned, here = np.array(columns, dtype=np.float64), np.flatnonzero(~self.known)
+        part = np.matmul(self.turn[here], turned[here].reshape(here.size, 3, -1)) * self.measured[here, :, None]
         turned[here] = part.reshape(here.size, *turned.shape[1:])
         return turned
-
-    @cached_property
-    def _without_attitude(self) -> tuple[np.ndarray, FloatArray, FloatArray]:
-        """Numbers of the M rows without a reference attitude, their turns (M, 3, 3) and what is measured (M, 3, 1)."""
-        here = np.flatnonzero(~self.known)
-        return here, self.turn[here], self.measured[here, :, None].astype(np.float64)
 
     def in_body(self, rows_own: FloatArray) -> FloatArray:
         """(N, 3) vectors in the rows' own axes, back in body axes."""
@@ -124,8 +108,8 @@ class RowAxes:
         return np.where(self.known[:, None], 0.0, turn)
 
 
-def pseudo_attitude(R_BN: Rotation, known: BoolArray, field_N_nT: FloatArray, field_B_nT: FloatArray) -> Rotation:
-    """R_BN where it is known; elsewhere that of the row before, turned as little as makes the field fit. Batch of N.
+def pseudo_attitude(R_BN: Rotation, known: BoolArray, field_N_nT: FloatArray, field_B_nT: FloatArray) -> FloatArray:
+    """(N, 4) R_BN where it is known; elsewhere that of the row before, turned as little as makes the field fit.
 
     field_N_nT, field_B_nT (N, 3): model, and reading as calibrated so far. So the way of the field through the body
     is that of the readings, and the rate about the field, which nobody knows, is small.
@@ -142,7 +126,7 @@ def pseudo_attitude(R_BN: Rotation, known: BoolArray, field_N_nT: FloatArray, fi
             continue
         before = _least_turned(before, there[row].tolist(), wanted[row].tolist())
         quaternions[row] = before
-    return Rotation.from_quat(quaternions)
+    return quaternions
 
 
 _Quaternion = tuple[float, float, float, float]
@@ -168,23 +152,6 @@ def _least_turned(q: _Quaternion, there: list[float], wanted: list[float]) -> _Q
         pw * z + pz * w + px * y - py * x,
         pw * w - px * x - py * y - pz * z,
     )
-
-
-def with_nadir_exact(
-    R_BN: Rotation,
-    rows: BoolArray,
-    nadir_B: FloatArray,
-    nadir_N: FloatArray,
-    field_N_nT: FloatArray,
-    field_B_nT: FloatArray,
-) -> Rotation:
-    """R_BN with the rows (N,) replaced by the attitude that has nadir exactly and the field in its plane (TRIAD)."""
-    if not rows.any():
-        return R_BN
-    quaternions = np.array(R_BN.as_quat())
-    R_BN = triad(nadir_B[rows], field_B_nT[rows]).inv() * triad(nadir_N[rows], field_N_nT[rows])
-    quaternions[rows] = R_BN.as_quat()
-    return Rotation.from_quat(quaternions)
 
 
 def row_axes(
@@ -234,7 +201,8 @@ def usable_nadir(
             return none, 1.0
         unit, ratio = _aligned(unit, R_BN.apply(nadir_N), both, attitude_sigma_rad)
     down = field_N_nT / np.linalg.norm(field_N_nT, axis=1)[:, None]
-    wide = np.linalg.norm(np.cross(nadir_N, down), axis=1) > _LEAST_SINE
+    # Nearer than ten degrees the plane of the two is lost in noise.
+    wide = np.linalg.norm(np.cross(nadir_N, down), axis=1) > 0.17
     use = _long_runs(given & wide & ~known, known)
     return np.where(use[:, None], unit, 0.0), ratio
 
@@ -299,13 +267,15 @@ def start_without_attitude(telemetry: Telemetry, model: FieldModel) -> Magnetome
     assert usable.r_N_km is not None
     size_nT = np.linalg.norm(field_N_nT(model, usable.time, np.asarray(usable.r_N_km)), axis=1)
     off_nT = np.linalg.norm(usable.mag_B_nT, axis=1) - size_nT
-    if np.median(np.abs(off_nT)) < _NEAR * np.median(size_nT):
+    if np.median(np.abs(off_nT)) < 0.1 * np.median(size_nT):  # Gauss-Newton may start there
         return None
     known = calibrate_scalar(telemetry, model).calibration
     sigmas = dict(zip(known.names, known.sigmas, strict=True))
     usual_nT = float(np.median(size_nT))
     relative = {name: sigma / usual_nT if name.startswith("b") else sigma for name, sigma in sigmas.items()}
-    worst = [name for name in sorted(relative, key=lambda name: -relative[name]) if relative[name] > _OPEN]
+    # A bias that is open by 2 % moves |B| by half its square over |B|, some 8 nT in 40,000, whatever the linear fit makes of
+    # it: about the least noise of a magnetometer in orbit.
+    worst = [name for name in sorted(relative, key=lambda name: -relative[name]) if relative[name] > 0.02]
     if worst:
         words = [f"{name} by {sigmas[name]:.2g}{' nT' if name.startswith('b') else ''}" for name in worst[:3]]
         raise NoAnswer(

@@ -22,7 +22,6 @@ from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
 from fluxtwin.sim.effects.base import STAGES, Effect, SignalEffect
 from fluxtwin.sim.effects.chain import Active
 
-VERDICTS = ("no_gap", "effect", "unknown")
 CONDITIONS = "|".join(
     [
         *("sunlit", "eclipse", "torquer", "latitude", "orbit_phase", "temperature", "current", "field_strength"),
@@ -392,13 +391,6 @@ class Closure:
         return not self.chosen and not self.stochastic
 
 
-def _if_verdict(verdict: str, properties: dict[str, Any]) -> dict[str, Any]:
-    return {"if": {"properties": {"verdict": {"const": verdict}}}, "then": {"properties": properties}}
-
-
-_NONE, _SOME, _NULL = {"maxItems": 0}, {"minItems": 1}, {"type": "null"}
-
-
 def _rules(schema: dict[str, Any]) -> None:
     """What the verdict says of other keys; `momentum` and `law` are there only where there is something to say."""
     schema["required"] = [name for name in schema["required"] if name not in ("momentum", "law")]
@@ -407,10 +399,15 @@ def _rules(schema: dict[str, Any]) -> None:
         "format": {"description": "What the keys of the file mean; raised when that changes.", "const": FORMAT},
         "sha256": {"description": "Of all other keys, as JSON with sorted keys and no blanks.", "type": "string"},
     }
-    unmeasured = {"properties": {"closed": _NULL, "interval": _NULL}}
+    none, null = {"maxItems": 0}, {"type": "null"}
+    unmeasured = {"properties": {"closed": null, "interval": null}}
+    said = {
+        "no_gap": {"effects": none, "resembles": none, "gap": unmeasured},
+        "effect": {"effects": {"minItems": 1}, "resembles": none},
+    }
     schema["allOf"] = [
-        _if_verdict("no_gap", {"effects": _NONE, "resembles": _NONE, "gap": unmeasured}),
-        _if_verdict("effect", {"effects": _SOME, "resembles": _NONE}),
+        {"if": {"properties": {"verdict": {"const": verdict}}}, "then": {"properties": properties}}
+        for verdict, properties in said.items()
     ]
 
 
@@ -419,7 +416,7 @@ class Diagnosis(Record, Shown):
     """What `fluxtwin diagnose --json` writes: where the gap lies, which effect causes it, how far it shrinks."""
 
     __pydantic_config__ = Record.__pydantic_config__ | ConfigDict(json_schema_extra=_rules)
-    verdict: Annotated[str, _enum(*VERDICTS)]
+    verdict: Annotated[str, _enum("no_gap", "effect", "unknown")]
     effects: Sequence[FoundEffect]
     """Causes jointly present, best supported first."""
     resembles: Names

@@ -12,17 +12,13 @@ from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.earth.field import FieldModel
 from fluxtwin.sim.telemetry.record import Telemetry
 
-LONG_STRETCH_ROWS = 30
-"""So many rows with the same quaternion to the last digit do not happen while a sensor measures."""
-ROOMY = 2.0
-"""Factor by which an expected rms is too large to be an error of a declared noise, which is trusted to 1.5 at most."""
 MISFIT = 0.05
 """Residual over field: a reference that is 3 degrees off."""
 
 
 def far_below_budget(before_nT: float, floor_nT: float, declared: bool) -> str | None:
     """Words for a budget, declared or found, that promises far more noise than there is, or None."""
-    if before_nT * ROOMY > floor_nT:
+    if before_nT * 2.0 > floor_nT:  # a declared noise is trusted to a factor 1.5 at most
         return None
     whose, mend = ("declared", "Correct") if declared else ("estimated", "Declare")
     return (
@@ -113,7 +109,8 @@ def _standing(telemetry: Telemetry) -> tuple[float, float, np.ndarray] | None:
         return None
     first, last = edges[::2] - 1, edges[1::2] - 1
     longest = int(np.argmax(last - first))
-    if share <= 0.5 and last[longest] - first[longest] + 1 < LONG_STRETCH_ROWS:
+    # Thirty rows with the same quaternion to the last digit do not happen while a sensor measures.
+    if share <= 0.5 and last[longest] - first[longest] + 1 < 30:
         return None
     times = epoch.seconds_since(telemetry.time, telemetry.time[0])
     return float(times[last[longest]] - times[first[longest]]), share, same

@@ -48,9 +48,6 @@ from fluxtwin.sim.effects.signal import Setting
 _AT_STAGE = 0.9
 """Probability of the stage where its error is beyond the declared one: a judgement, a residual may be large by a cause
 elsewhere."""
-_AS_LARGE = 0.25
-_LEAST_SPREAD = 0.05
-"""Standard deviation of the logarithm of the rms, however many rows: structure that nobody looks for is in any record."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,7 +159,7 @@ def assemble(
 ) -> Diagnosis:
     """The diagnosis of a finished investigation. assumed: as from `assumed`."""
     problem, answer, momentum = work.problem, work.answer, work.momentum
-    result, cut = answer.result, answer.robust.rows_cut
+    result, cut = answer.result, int(answer.robust.cut_rows.sum())
     found = _conclude(work)
     faults = [] if found.fault is None else [found.fault]
     alone = faults if found.verdict == "effect" else []
@@ -246,7 +243,7 @@ def _sentence(work: Work, found: _Conclusion, where: Place, gap: Shrinkage, rese
         return work.angle.said(others, gap.before_nT)
     if found.verdict == "no_gap":
         # What is said is the residual of the fit, which has no error of a prediction.
-        fit = replace(gap, floor_nT=(gap.floor_nT**2 - work.prediction.unsure_nT**2) ** 0.5)
+        fit = replace(gap, floor_nT=(gap.floor_nT**2 - work.prediction.unsure_nT[0] ** 2) ** 0.5)
         return words.no_gap(fit, work.attitude_would_do_rad) + _differ(work)
     if found.verdict == "unknown":
         what = _what(work, where) if found.beyond is None else found.beyond.words
@@ -430,7 +427,8 @@ def beyond_budget(problem: Problem, answer: Answer) -> Excess | None:
     prior = prior_of(complete_budget(problem))
     most_nT = expected_nT(float(np.exp(2.0 * prior.sigma_log_sd)), float(np.exp(prior.theta_log_sd)))
     found_nT = residual_rms_nT(problem, answer)
-    spread = np.hypot(_LEAST_SPREAD, noise.theta_log_sd if np.isfinite(noise.theta_log_sd) else 0.0)
+    # However many rows: structure that nobody looks for is in any record.
+    spread = np.hypot(0.05, noise.theta_log_sd if np.isfinite(noise.theta_log_sd) else 0.0)
     if found_nT <= most_nT * np.exp(3.0 * spread):
         return None
     said = f"the residual of the fit is {found_nT:.1f} nT rms, where {expected_nT(1.0, 1.0):.1f} nT were expected"
@@ -444,7 +442,7 @@ def beyond_budget(problem: Problem, answer: Answer) -> Excess | None:
 
 def too_many_outliers(problem: Problem, robust: RobustRows) -> Excess | None:
     """Readings that were set aside, where noise does not give as many, or None."""
-    count = robust.components_cut
+    count = int(robust.cut.sum())
     by_chance = 2.0 * float(norm.sf(CUT_SIGMA)) * float(problem.measured.sum())
     if count == 0 or poisson.sf(count - 1, by_chance) > GATE:
         return None
@@ -478,9 +476,6 @@ def assumed(budget: Budget, problem: Problem, noise: NoiseModel) -> dict[str, di
 
 def expected(finding: Finding, frozen: Sequence[Active]) -> bool:
     """Whether the scenario has this stochastic effect already, in this size (to a quarter, or three sigma)."""
-    for effect, theta in frozen:
-        if effect.name == finding.name and isinstance(effect, DistributionEffect):
-            bar = max(3.0 * float(finding.sigma[0]) * float(np.sqrt(2.0)), _AS_LARGE * float(theta[0]))
-            if abs(float(finding.theta[0]) - float(theta[0])) <= bar:
-                return True
-    return False
+    had = [size[0] for one, size in frozen if one.name == finding.name and isinstance(one, DistributionEffect)]
+    bar = 3.0 * float(np.sqrt(2.0)) * finding.sigma[0]
+    return any(abs(finding.theta[0] - size) <= max(bar, 0.25 * size) for size in had)

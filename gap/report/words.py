@@ -33,8 +33,6 @@ SECOND_UNUSED = (
 )
 FIRST = "First correct the file as fluxtwin check says"
 """Begins the answer of a diagnosis of a file that is wrong."""
-_IN_WORDS = {"stage": "at stage ", "axis": "on ", "frame": "in ", "condition": "depending on "}
-"""By kind of place, what comes before its names in a sentence."""
 _PLACES = {
     "x": "the x axis",
     "y": "the y axis",
@@ -55,8 +53,6 @@ _PLACES = {
     "region": "the region",
 }
 """Names of places that are no words of a sentence."""
-MOST_HOURS = 24.0 * 14
-"""Beyond two weeks of like data a manoeuvre is the better advice alone."""
 
 
 def no_gap(gap: Shrinkage, attitude_would_do_rad: float | None) -> str:
@@ -96,9 +92,10 @@ def unexplained(what: str, where: Place, resembles: Sequence[str]) -> str:
 
 def located(where: Place) -> list[str]:
     """Where the gap lies, with probabilities, and which other stages can look the same: a sentence each."""
+    before = {"stage": "at stage ", "axis": "on ", "frame": "in ", "condition": "depending on "}
     parts = [
         f"{begins}{' or '.join(f'{_in_words(name)} ({percent(share)})' for name, share in shares.items())}"
-        for kind, begins in _IN_WORDS.items()
+        for kind, begins in before.items()
         if (shares := where.likely(kind))
     ]
     said = [f"Where: {', '.join(parts) or 'no particular place'}."]
@@ -307,11 +304,6 @@ def thinned(every: int, most_rows: int) -> str:
     )
 
 
-def hours_needed(found: Detectable, wanted: float, hours: float) -> float:
-    """Hours of like data after which a size `wanted` shows, when `hours` of them show `found`."""
-    return hours * (found.value / abs(wanted)) ** 2
-
-
 def typical_size(name: str, parameter: str) -> float | None:
     """The typical size of a parameter in the catalogue, None for what is not there."""
     known = (p for effect in CATALOGUE if effect.name == name for p in effect.parameters if p.name == parameter)
@@ -330,9 +322,9 @@ def would_settle(detectable: Mapping[str, Detectable], untestable: Mapping[str, 
         if wanted is None or found.value <= abs(wanted):
             continue
         unit = "" if found.unit == "1" else f" {found.unit}"
-        needed = hours_needed(found, wanted, hours)
+        needed = hours * (found.value / wanted) ** 2
         data = "more than two weeks of such data"
-        if needed <= MOST_HOURS:
+        if needed <= 24.0 * 14:
             data = f"about {_plain(needed)} h of such data instead of {_plain(hours)} h"
         advice[name] = f"for {found.parameter} {abs(wanted):.3g}{unit}: {data}, or {settled_by[name]}"
     return advice | {name: settled_by[name] for name in untestable if name in settled_by}
@@ -345,6 +337,4 @@ def _plain(value: float) -> str:
 
 def hours_of(time: TimeArray) -> float:
     """Hours of data that rows at these times (N,) cover, gaps left out."""
-    if time.size < 2:
-        return 0.0
     return float(np.median(np.diff(time)) / np.timedelta64(1, "s")) * time.size / 3600.0

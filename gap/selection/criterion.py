@@ -29,10 +29,9 @@ of some three to five blocks). Of the same truths the worst direction has less t
 tenths."""
 IN_GROUP = 0.05
 """Probability of a rival, one in twenty, from which on it is not distinguished."""
-TWENTY_TO_ONE = -2.0 * float(np.log(IN_GROUP))
-"""The same in twice the log."""
-LOG_FURTHER = TWENTY_TO_ONE
-"""Minus twice the log of the prior odds of one more cause beside a named one, and of one outside the catalogue: as much."""
+LOG_FURTHER = -2.0 * float(np.log(IN_GROUP))
+"""The same in twice the log; and minus that of the prior odds of one more cause beside a named one, and of one outside the
+catalogue: as much."""
 
 
 def stands_out(p_value: ArrayLike, worth: ArrayLike) -> BoolArray:

@@ -31,8 +31,6 @@ from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.effects.base import Parameter
 
 MISS = 0.10
-_ABSURD = 1000.0  # times the typical size: no flight would show it
-_DROPS = np.geomspace(4.0, 4e4, 500)
 _KNOWN = 1e6
 """Degrees of freedom of a noise that is known."""
 _AT, _WEIGHTS = (each / by for each, by in zip(hermegauss(9), (1.0, np.sqrt(2.0 * np.pi)), strict=True))
@@ -55,7 +53,7 @@ class Rule:
     @cached_property
     def least_drop(self) -> float:
         """D from which on a cause is named."""
-        drops = _DROPS
+        drops = np.geomspace(4.0, 4e4, 500)
         for _ in range(2):  # the second time between two neighbours
             missed = np.flatnonzero(~self._named(drops))
             last = int(missed[-1]) if missed.size else 0
@@ -123,31 +121,22 @@ def smallest(board: Board, tested: int) -> tuple[dict[str, Smallest], dict[str, 
     return {name: choice for name, choice in best.items() if name not in reasons}, reasons
 
 
-class Hiding(NamedTuple):
-    """A noise model that may be the right one."""
-
-    whitener: Whitens
-    probability: float
-    cost: float
-    """In twice the log likelihood."""
-
-
 def detectable(
-    seen: Mapping[str, Smallest], images_nT: FloatArray, nuisance_nT: FloatArray, noises: Sequence[Hiding]
+    seen: Mapping[str, Smallest],
+    images_nT: FloatArray,
+    nuisance_nT: FloatArray,
+    noises: Sequence[tuple[Whitens, float, float]],
 ) -> dict[str, Detectable]:
     """The sizes of `smallest` where the noise model is not known either.
 
-    images_nT (N, 3, k): of one unit of each, in their order; nuisance_nT (N, 3, c): what is re-estimated; noises: all over
-    what data and budget allow, the one that was chosen first.
+    images_nT (N, 3, k): of one unit of each, in their order; nuisance_nT (N, 3, c): what is re-estimated; noises: the one
+    that was chosen, then all over what data and budget allow, with probability, and cost in twice the log likelihood.
     """
-    if not seen:
-        return {}
-    white, beside = (noises[0].whitener.apply(columns) for columns in (images_nT, nuisance_nT))
+    white, beside = (noises[0][0].apply(columns) for columns in (images_nT, nuisance_nT))
     visible = visible_part(images_nT, white, nuisance_nT, beside)
     unit_nT = np.sqrt(np.mean(visible**2, axis=(0, 1)))
-    probability, cost = (np.array([getattr(one, name) for one in noises]) for name in ("probability", "cost"))
-    every = [2.0 * np.log(_length(one.whitener.apply(images_nT), one.whitener.apply(nuisance_nT))) for one in noises]
-    logs = np.stack(every)
+    probability, cost = np.array([one[1:] for one in noises]).T
+    logs = np.stack([2.0 * np.log(_length(one.apply(images_nT), one.apply(nuisance_nT))) for one, *_ in noises])
     mean = probability @ logs
     scatter = probability @ (logs - mean) ** 2
     found = {}
@@ -204,6 +193,6 @@ def _reason(best: Smallest | None) -> str | None:
     if best is None:
         return "on this orbit and attitude the re-estimated calibration can imitate it completely"
     one, size = best.parameter, best.value
-    if best.relative > _ABSURD or size > max(abs(one.low), abs(one.high)):
+    if best.relative > 1000.0 or size > max(abs(one.low), abs(one.high)):
         return f"only {one.name} above {size:.3g} {one.unit} would show, which is beyond what is physical"
     return None

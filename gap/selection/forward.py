@@ -31,7 +31,6 @@ NONLINEAR = 0.2
 """A candidate is refitted if its linear score comes within the first, or this share, of the best: so much of a drop may be
 lost by taking a large effect as linear (8 % of a clock 10 s late, whose linear image is made of an attitude with errors of
 its own). Generous, because what it costs is at most four refits."""
-_REFITS = 4
 _ALIKE = 1  # decimals of a cost: where causes are alike to rounding, that of the catalogue's order comes first
 RATIOS = (1.5, 1.25, 1.12)
 """By which a setting is moved to either side, between the few values of it that were tried."""
@@ -116,10 +115,7 @@ class Search(Generic[OfChannel]):
             self.fits[frozenset(self.found[number].label for number in self.numbers(fit))] = fit
 
     def numbers(self, fit: Fit) -> list[int]:
-        return [
-            next(n for n, c in enumerate(self.found) if c.effect is effect or c.effect == effect)
-            for effect, _ in fit.chosen
-        ]
+        return [next(n for n, c in enumerate(self.found) if c.effect == effect) for effect, _ in fit.chosen]
 
 
 def begin(channel: OfChannel, found: list[Candidate], tested_before: int = 0) -> Search[OfChannel]:
@@ -147,7 +143,9 @@ def run(search: Search[Any]) -> list[tuple[Fit, Board]]:
     proposed = [effect for effect in search.channel.proposed(search.base) if effect.name in names]
     if proposed:
         search.add(proposed)
-    fit = _best(search, [[number] for number in _shortlist(search, search.first)], search.first)
+    # Started from the linear estimates at zero.
+    fits = [search.fit([number], search.first.estimate([number])) for number in _shortlist(search, search.first)]
+    fit = min(fits, key=lambda one: round(search.cost(one, search.first.variance), _ALIKE))
     fit, rest = _sharper(search, fit)
     path.append((fit, rest))
     while len(fit.chosen) < LARGEST and (larger := _grown(search, fit, rest)) is not None:
@@ -221,14 +219,8 @@ def _shortlist(search: Search[Any], scored: Board) -> list[int]:
 
 
 def room_for(name: str, refitted: Sequence[str]) -> bool:
-    """Whether one more of that name is refitted: at most two alternatives each, of a few effects."""
-    return refitted.count(name) < 2 and len({name, *refitted}) <= _REFITS
-
-
-def _best(search: Search[Any], sets: Sequence[Sequence[int]], scored: Board) -> Fit:
-    """The cheapest refit among sets of candidates, started from the linear estimates at zero."""
-    fits = [search.fit(numbers, search.first.estimate(numbers)) for numbers in sets]
-    return min(fits, key=lambda fit: round(search.cost(fit, scored.variance), _ALIKE))
+    """Whether one more of that name is refitted: at most two alternatives each, of four effects."""
+    return refitted.count(name) < 2 and len({name, *refitted}) <= 4
 
 
 def _grown(search: Search[Any], fit: Fit, rest: Board) -> Fit | None:
@@ -261,9 +253,7 @@ def _afresh(search: Search[Any], size: int, present: Sequence[int], partners: Se
     for seed in seeds:
         drop, rank = scored.given(seed)
         inside = np.isin(scored.block, seed)
-        own = float(scored.statistic[seed[0]])
-        if len(seed) > 1:
-            own, _ = explained(scored.unit_gram[np.ix_(inside, inside)], scored.score[inside], SHARE_LEFT)
+        own, _ = explained(scored.unit_gram[np.ix_(inside, inside)], scored.score[inside], SHARE_LEFT)
         whole = (own + drop) / scored.variance
         cost = -whole + penalty(int(inside.sum()) + rank, whole, search.samples)
         names = {search.found[n].name for n in seed}

@@ -30,13 +30,7 @@ from fluxtwin.sim.effects.signal import Setting
 from fluxtwin.sim.effects.switched_field import SwitchedField
 
 _RCOND = 0.1 * float(np.sqrt(SHARE_LEFT))
-_STEPS = 12
-_HALVINGS = 6
 WHOLLY = 0.99  # of a parameter's direction
-_AS_PROMISED = 0.9
-_CONVERGED = 0.01  # of chi-square: far below anything a decision turns on
-_EDGES = 64
-_LEAST_SHARE = 0.05  # of the record, inside and on either side: shorter ones are spikes, or a step
 
 
 class Channel(Whitens, Protocol):
@@ -164,16 +158,17 @@ def refit(
         vector, residual, chi2 = better or (vector, residual, chi2)
     jacobian = channel.jacobian(_unpacked(active, vector)) if guess is None else guess
     exact = guess is None
-    for _ in range(2 * _STEPS):
+    for _ in range(24):
         free = _free(jacobian, residual, vector, low, high)
         step = _step(jacobian, residual, free)
         promised = 2 * float(np.sum(residual * (jacobian @ step))) - float(np.sum((jacobian @ step) ** 2))
-        found = _search_line(channel, active, vector, step, (low, high), chi2) if promised >= _CONVERGED else None
+        # A hundredth of chi-square is far below anything a decision turns on.
+        found = _search_line(channel, active, vector, step, (low, high), chi2) if promised >= 0.01 else None
         if found is None and exact:
             break
         kept = False
         if found is not None:
-            kept = chi2 - found[2] > _AS_PROMISED * promised
+            kept = chi2 - found[2] > 0.9 * promised
             vector, residual, chi2 = found
         exact = not kept
         if exact:
@@ -240,8 +235,7 @@ class Readings:
         return self.whitener.apply(self.problem.residual_of(active))
 
     def jacobian(self, active: Sequence[Active]) -> FloatArray:
-        images = self.problem.derivatives(active)
-        return self.whitener.apply(images) if images.shape[2] else images
+        return self.whitener.apply(self.problem.derivatives(active))
 
     def candidate(self, effect: SignalEffect, modelled: Sequence[Active]) -> Candidate:
         return candidate_of(self.problem, effect, modelled=modelled)
@@ -343,7 +337,7 @@ def _search_line(
     chi2: float,
 ) -> tuple[FloatArray, FloatArray, float] | None:
     """The longest of the step, its half, its quarter, ... that makes the residual smaller."""
-    for halving in range(_HALVINGS):
+    for halving in range(6):
         trial = np.clip(vector + step / 2**halving, *limits)
         try:
             residual = channel.residual(_unpacked(active, trial))
@@ -363,10 +357,10 @@ def likeliest_interval(
     None where one step does as well, within noise and its shape error. Each pair of edges is a difference of two steps, so
     all pairs follow from one Gram matrix of the steps.
     """
-    rows = problem.rows
-    if rows < 4 * _EDGES:
+    rows, edges = problem.rows, 64
+    if rows < 4 * edges:
         return None
-    at = np.linspace(0, rows, _EDGES + 1).astype(int)[1:-1]
+    at = np.linspace(0, rows, edges + 1).astype(int)[1:-1]
     steps = (np.arange(rows)[:, None] >= at[None, :]).astype(np.float64)
     white = whitener.apply(in_body(steps)).reshape(residual.size, -1)
     basis = orthonormal(nuisance)
@@ -375,8 +369,9 @@ def likeliest_interval(
     moment = (white.T @ residual.reshape(-1)).reshape(at.size, 3)
     own = np.stack([gram[k, :, k, :] for k in range(at.size)])
     single = _explained(own, moment)
-    first, last = np.triu_indices(at.size, k=max(int(_LEAST_SHARE * _EDGES), 1))
-    inside = (at[first] > _LEAST_SHARE * rows) & (at[last] < (1.0 - _LEAST_SHARE) * rows)
+    share = 0.05  # of the record, inside and on either side: shorter ones are spikes, or a step
+    first, last = np.triu_indices(at.size, k=int(share * edges))
+    inside = (at[first] > share * rows) & (at[last] < (1.0 - share) * rows)
     first, last = first[inside], last[inside]
     mixed = gram[first, :, last, :]
     both = own[first] + own[last] - mixed - np.transpose(mixed, (0, 2, 1))

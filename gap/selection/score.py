@@ -44,10 +44,10 @@ class Board:
     """(P,) number of the candidate that a column belongs to."""
     place: FloatArray
     """(P,) number of the parameter within its effect."""
-    residual: FloatArray
-    """(3M,) whitened, projected."""
-    nuisance_basis: FloatArray
-    """(3M, c) orthonormal."""
+    chi2: float
+    """Of the residual beside the nuisance."""
+    fitted: int
+    """Directions of the nuisance."""
     measured: int
     """Scalar measurements that are not cut."""
     share_left: float = SHARE_LEFT
@@ -99,11 +99,6 @@ class Board:
         return np.asarray(drops, dtype=np.float64)
 
     @cached_property
-    def chi2(self) -> float:
-        """Of the residual beside the nuisance."""
-        return float(self.residual @ self.residual)
-
-    @cached_property
     def saturated(self) -> tuple[float, int]:
         """Drop of chi-square by all candidates together, and their joint rank."""
         return explained(self.unit_gram, self.score, self.share_left)
@@ -111,8 +106,7 @@ class Board:
     @cached_property
     def freedom(self) -> int:
         """Degrees of freedom left by nuisance and all candidates."""
-        free: int = self.measured - self.nuisance_basis.shape[1] - self.saturated[1]
-        return max(free, 1)
+        return max(self.measured - self.fitted - self.saturated[1], 1)
 
     @property
     def trusted(self) -> int:
@@ -274,8 +268,8 @@ def board(
     lengths = np.linalg.norm(flat, axis=0)
     lengths = np.where(lengths > 0, lengths, 1.0)
     columns, rest = projected_out(basis, flat / lengths), projected_out(basis, residual.reshape(-1))
-    gram, pull = columns.T @ columns, columns.T @ rest
-    return Board(tuple(candidates), gram, pull, lengths, owner, place, rest, basis, measured, share_left)
+    products = (columns.T @ columns, columns.T @ rest, lengths, owner, place, float(rest @ rest))
+    return Board(tuple(candidates), *products, basis.shape[1], measured, share_left)
 
 
 def whitened(candidates: Sequence[Candidate], whitener: Whitens, rows: int) -> FloatArray:

@@ -25,11 +25,7 @@ from fluxtwin.sim.effects.base import Effect, SignalEffect
 from fluxtwin.sim.effects.chain import Active
 from fluxtwin.sim.effects.signal import Setting
 
-OWN_AXIS = 0.8
-"""Share of the energy from which on an effect is of one axis: a judgement, for words alone."""
 WORTH_SAYING = 0.001  # of a rival: a less likely one is neither stated nor tried on other designs
-_OF_ERRORS = 1e-3
-"""Of the energy of an image: less would cost a cause that explains a drop of a thousand one unit of it."""
 
 
 class Support(NamedTuple):
@@ -82,11 +78,12 @@ def parameters_of(effect: Effect, theta: FloatArray, sigma: FloatArray, setting:
 
 
 def axis_of(energy: FloatArray) -> str | None:
-    """The axis that has most of an energy (3,), "all" where none has; None where the data do not separate the axes."""
+    """The axis that has four fifths of an energy (3,), "all" where none has (a judgement, for words); None where the data
+    do not separate the axes."""
     if not np.isfinite(energy).all():
         return None
     axis = int(np.argmax(energy))
-    return "xyz"[axis] if energy[axis] >= OWN_AXIS * max(float(energy.sum()), 1e-300) else "all"
+    return "xyz"[axis] if energy[axis] >= 0.8 * max(float(energy.sum()), 1e-300) else "all"
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,10 +109,8 @@ class SearchResult:
     """(N, 3) reading less prediction with everything at its refitted value, all rows of the problem."""
     residual_alone_nT: FloatArray
     """(N, 3) the same without any named effect."""
-    residual_white: FloatArray
-    """(M, 3) whitened."""
-    jacobian_white: FloatArray
-    """(M, 3, c + p) whitened, what is modelled, then the named effects in the order of `chosen`."""
+    fit: Fit
+    """With the named effects, in the order of the search."""
     variance: float
     """Of whitened rows about the saturated fit: 1 when the noise model is right."""
     scores: tuple[tuple[Score, ...], tuple[Score, ...]]
@@ -135,32 +130,28 @@ class SearchResult:
 
 
 def result_of(
-    under_way: Search[Readings],
-    untestable: dict[str, str],
-    fit: Fit,
-    rest: Board,
+    under_way: Search[Readings], untestable: dict[str, str], fit: Fit, rest: Board, modelled: int
 ) -> SearchResult:
-    """All that later steps need of a search that ended with a fit. rest: scores beside it. The probability of a name is
-    that of its group given that named effects are all there is."""
+    """All that later steps need of a search that ended with a fit. rest: scores beside it; modelled: how many effects are
+    re-estimated, those after them are causes. The probability of a name is that of its group given that named effects are
+    all there is."""
     first, base, problem = under_way.first, under_way.base, under_way.channel.problem
     raw_nuisance = problem.derivatives(base.modelled)
     seen, hidden = smallest(first, under_way.tested)
     named = [_named(under_way, fit, number, rest.variance, raw_nuisance) for number in range(len(fit.chosen))]
-    order = by_gain(under_way, fit)
-    residual, alone = (problem.residual_of(each.active) for each in (fit, base))
+    residual, alone = (problem.residual_of([*each.modelled[:modelled], *each.chosen]) for each in (fit, base))
     return SearchResult(
-        named=tuple(named[number] for number in order),
+        named=tuple(named[number] for number in by_gain(under_way, fit)),
         ranking=ranking(under_way),
         untestable={**untestable, **hidden},
         isolability=first.isolability,
         smallest=seen,
         candidates=tuple(under_way.found),
-        modelled=fit.modelled,
-        modelled_alone=base.modelled,
+        modelled=fit.modelled[:modelled],
+        modelled_alone=base.modelled[:modelled],
         residual_nT=residual,
         residual_alone_nT=alone,
-        residual_white=fit.residual,
-        jacobian_white=fit.jacobian[:, :, _columns(fit, order)],
+        fit=fit,
         variance=rest.variance,
         scores=_scores(under_way, first, rest if fit.chosen else None),
         tested=under_way.tested,
@@ -174,7 +165,8 @@ def _scores(
     attitudes, also how much of it is their errors."""
     lost: dict[str, float] = {}
     for candidate in first.candidates:
-        if len(candidate.scale) == 1 and candidate.change > _OF_ERRORS:
+        # Less would cost a cause that explains a drop of a thousand one unit of it.
+        if len(candidate.scale) == 1 and candidate.change > 1e-3:
             size = candidate.scale
             drop = _chi_square_lost(under_way, (candidate.effect, size), under_way.base.jacobian)
             lost[candidate.label] = drop / float(size[0]) ** 2
@@ -187,11 +179,7 @@ def _scores(
 
 
 def _named(
-    under_way: Search[Readings],
-    fit: Fit,
-    number: int,
-    variance: float,
-    raw_nuisance: FloatArray,
+    under_way: Search[Readings], fit: Fit, number: int, variance: float, raw_nuisance: FloatArray
 ) -> FoundEffect:
     effect, theta = fit.chosen[number]
     assert isinstance(effect, SignalEffect)
@@ -248,13 +236,6 @@ def by_gain(under_way: Search[Readings], fit: Fit) -> list[int]:
         return float(np.sum(under_way.channel.residual([*fit.modelled, *fit.others(number)]) ** 2))
 
     return sorted(range(len(fit.chosen)), key=lambda number: -(chi2(number) - fit.chi2))
-
-
-def _columns(fit: Fit, order: list[int]) -> list[int]:
-    """Columns of a fit's Jacobian with the chosen effects in another order."""
-    start = sum(len(theta) for _, theta in fit.modelled)
-    slices = fit.slices()
-    return [*range(start), *(c for number in order for c in range(slices[number].start, slices[number].stop))]
 
 
 def ranking(under_way: Search[Any]) -> tuple[Ranked, ...]:

@@ -12,7 +12,7 @@ from fluxtwin.gap.noise.choice import Data, Likelihood, NoisePrior, noises_about
 from fluxtwin.gap.noise.whitening import NoiseModel, Whitener, make_whitener
 from fluxtwin.gap.problem.row_axes import turn_images
 from fluxtwin.gap.selection.criterion import GATE, THRESHOLD, penalty, stands_out
-from fluxtwin.gap.selection.detectable import Hiding, Rule, Smallest, detectable
+from fluxtwin.gap.selection.detectable import Rule, Smallest, detectable
 from fluxtwin.sim.effects.base import Parameter
 
 pytestmark = pytest.mark.closure
@@ -108,11 +108,11 @@ class Slow:
         likely = noises_about(Likelihood(data, PRIOR), whitener.noise)
         assert sum(one.probability for one in likely) == pytest.approx(1.0)
         assert min(one.cost for one in likely) == 0.0
-        noises = [Hiding(self.whitener(one.noise, whitener.weights), one.probability, one.cost) for one in likely]
+        noises = [(self.whitener(one.noise, whitener.weights), one.probability, one.cost) for one in likely]
         rule = Rule(1, tested, float(ROWS), 3.0 * ROWS)
         seen = {"cause": Smallest(1.0, Parameter("angle", "mrad", 1.0), 0, 0, rule)}
-        with_noises = detectable(seen, self.cause, self.bias, [Hiding(whitener, 0.0, 0.0), *noises])
-        alone = detectable(seen, self.cause, self.bias, [Hiding(whitener, 1.0, 0.0)])
+        with_noises = detectable(seen, self.cause, self.bias, [(whitener, 0.0, 0.0), *noises])
+        alone = detectable(seen, self.cause, self.bias, [(whitener, 1.0, 0.0)])
         return with_noises["cause"].value, alone["cause"].value
 
     def named(self, residual: np.ndarray, tested: int) -> bool:

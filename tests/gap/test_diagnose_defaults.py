@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +15,7 @@ from worlds import scenario_text
 
 import fluxtwin
 from fluxtwin.gap.diagnose import diagnose
-from fluxtwin.gap.held_out.held_out import Fitted, predict_blocks
+from fluxtwin.gap.held_out.held_out import predict_blocks
 from fluxtwin.gap.noise.whitening import NoiseModel, make_whitener
 from fluxtwin.gap.problem.problem import Budget, _velocity
 from fluxtwin.gap.problem.row_axes import turn_images
@@ -226,18 +228,27 @@ def test_an_attitude_error_reaches_the_reading_through_the_matrix_of_the_sensor(
     assert wrong > 2.0
 
 
+UNIT: Any = SimpleNamespace(apply=lambda columns: columns)
+
+
+def rows_of(seconds: np.ndarray) -> Any:
+    """Rows that all have an attitude, as far as a prediction of blocks looks at them."""
+    measured = np.ones((seconds.size, 3), dtype=bool)
+    setting = SimpleNamespace(seconds=seconds)
+    return SimpleNamespace(setting=setting, measured=measured, axes=None, in_row_axes=lambda columns: columns)
+
+
 def test_a_block_that_the_others_do_not_determine_is_not_predicted() -> None:
     """One column lives in the last fifth alone: nothing is held out there, and nothing explodes."""
     rng = np.random.default_rng(2)
     seconds, kept = np.arange(500.0), np.ones(500, dtype=bool)
     y = rng.standard_normal((500, 3))
     x = np.where(np.arange(500)[:, None, None] >= 400, rng.standard_normal((500, 3, 1)), 1e-9 * np.ones((500, 3, 1)))
-    fit = Fitted(y, x, y, x)
-    measured = np.ones((500, 3), dtype=bool)
-    known = predict_blocks(seconds, kept, 1.0, fit, fit, measured).counted
+    problem = rows_of(seconds)
+    known = predict_blocks(problem, UNIT, kept, 1.0, (y, x), (y, x)).counted
     assert known[:400].all() and not known[400:].any()
-    x5 = Fitted(5.0 * y, y[..., None], 5.0 * y, y[..., None])  # five times a column: the others give it exactly
-    assert np.abs(predict_blocks(seconds, kept, 1.0, x5, x5, measured).before_nT).max() < 1e-9
+    five = (5.0 * y, y[..., None])  # five times a column: the others give it exactly
+    assert np.abs(predict_blocks(problem, UNIT, kept, 1.0, five, five).before_nT).max() < 1e-9
 
 
 def test_what_a_block_predicts_of_another_is_as_wrong_as_it_says() -> None:
@@ -245,11 +256,11 @@ def test_what_a_block_predicts_of_another_is_as_wrong_as_it_says() -> None:
     whose variance averages to that of the textbook, sigma^2 tr(X_h (X_t' X_t)^-1 X_h') over the components."""
     rng = np.random.default_rng(5)
     seconds, kept = np.arange(60.0), np.ones(60, dtype=bool)
-    measured, squares, expected = np.ones((60, 3), dtype=bool), [], []
+    half: Any = SimpleNamespace(apply=lambda columns: columns / 2.0)
+    squares, expected = [], []
     for _ in range(300):
         y, x = 2.0 * rng.standard_normal((60, 3)), rng.standard_normal((60, 3, 12))
-        fit = Fitted(y, x, y / 2.0, x / 2.0)
-        held = predict_blocks(seconds, kept, 2.0, fit, fit, measured)
+        held = predict_blocks(rows_of(seconds), half, kept, 2.0, (y, x), (y, x))
         squares.append(np.mean(held.after_nT[held.counted] ** 2))
         expected.append(4.0 + held.unsure_nT[1] ** 2)
     difference = np.array(squares) - np.array(expected)

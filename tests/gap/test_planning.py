@@ -204,7 +204,7 @@ def test_a_tumble_tells_the_axes_of_something_unknown(flown: dict[str, tuple[Des
     nadir, tumble = (next(v for w, (_, v) in flown.items() if w.startswith(word)) for word in ("nadir", "tumble"))
     place = nadir.place("orbit_phase", ["body", "orbital"], 200.0)
     assert place is not None and nadir.place("head", ["body", "orbital"], 200.0) is None
-    for frame in place.frames:
+    for frame in place.sizes:
         assert nadir.placed(place, frame, nadir.problem.rows) < 0.1
         assert tumble.placed(place, frame, tumble.problem.rows) > 0.9
 

@@ -18,7 +18,6 @@ from fluxtwin.gap.linear.projection import (
     orthonormal,
     projected_out,
     projected_white,
-    share_mimicked,
     span_of,
 )
 from fluxtwin.gap.selection.criterion import THRESHOLD
@@ -132,10 +131,3 @@ def test_a_step_and_a_drift_are_found() -> None:
     assert drift(make_left(slow))[0] < -6
     # Louder white noise is no drift.
     assert drift(make_left(5.0 * rng.standard_normal((900, 3))))[0] > -3
-
-
-def test_shares() -> None:
-    rng = np.random.default_rng(4)
-    a, b = rng.standard_normal((60, 2)), rng.standard_normal((60, 3))
-    assert share_mimicked(a, np.concatenate([b, a @ [[1.0, 2.0], [0.0, 1.0]]], axis=1)) == pytest.approx(1.0)
-    assert share_mimicked(a, b - a @ np.linalg.lstsq(a, b, rcond=None)[0]) == pytest.approx(0.0, abs=1e-12)

@@ -248,9 +248,9 @@ def test_a_perfect_simulation_gets_no_name_score() -> None:
     priced = unpriced = 0
     for _ in range(500):
         white = here.whitener.apply(here.noise(rng))
-        first, rest = search_.first, projected_out(search_.first.nuisance_basis, white.reshape(-1))
+        first, rest = search_.first, projected_out(search_.base.basis, white.reshape(-1))
         pull = (search_.white.reshape(rest.size, -1).T @ rest) / first.lengths
-        scored = dataclasses.replace(first, residual=rest, pull=pull)
+        scored = dataclasses.replace(first, chi2=float(rest @ rest), pull=pull)
         for shared in ("left", "turn", "block", "rank", "unit_gram"):
             scored.__dict__[shared] = getattr(search_.first, shared)
         least = scored.p_values.min()
@@ -353,12 +353,13 @@ def test_the_search_ends_with_three_effects(monkeypatch: pytest.MonkeyPatch) -> 
     def fit(size: int) -> Any:
         return SimpleNamespace(chosen=(None,) * size)
 
-    begun: Any = SimpleNamespace(base=fit(0), first=SimpleNamespace(p_values=np.zeros(1)), tested=1)
+    first = SimpleNamespace(p_values=np.zeros(1), variance=1.0, estimate=lambda numbers: [])
+    begun: Any = SimpleNamespace(base=fit(0), first=first, tested=1)
+    begun.fit, begun.cost = lambda *given: fit(1), lambda *given: 0.0
     begun.channel = SimpleNamespace(proposed=lambda base: [SimpleNamespace(name="none")])
     begun.found = [SimpleNamespace(name="one")]
     for name, given in {
         "_shortlist": lambda *given: [0],
-        "_best": lambda *given: fit(1),
         "_sharper": lambda search, fit: (fit, None),
         "_grown": lambda search, old, rest: fit(len(old.chosen) + 1),
         "_eliminated": lambda search, fit, rest: fit,

@@ -14,7 +14,7 @@ from worlds import scenario_text
 
 import fluxtwin
 from fluxtwin.diagnosis_page import diagnosis_page
-from fluxtwin.gap.channels.two_magnetometers import _White, apart
+from fluxtwin.gap.channels.two_magnetometers import apart
 from fluxtwin.gap.detectors.random_walk import worth_of_a_walk
 from fluxtwin.gap.posterior.where import where
 from fluxtwin.gap.problem.problem import pose
@@ -213,9 +213,3 @@ def test_a_walk_is_in_the_difference_or_is_none() -> None:
 
     assert worth(flown(effects={"bias_random_walk": {"rate_nT_per_sqrt_s": rate}})) > 100.0
     assert worth(flown()) < -100.0
-
-
-def test_noise_of_each_axis_is_white_after_its_whitening() -> None:
-    kept = np.array([[True, True, False]] * 2)
-    found = _White(np.array([2.0, 5.0, 7.0]), kept).apply(np.array([[2.0, -5.0, 7.0], [4.0, 0.0, 1.0]]))
-    assert np.array_equal(found, [[1.0, -1.0, 0.0], [2.0, 0.0, 0.0]])

@@ -22,6 +22,7 @@ from fluxtwin.sim.effects.digits import BitErrors, CoarseQuantization, ExcessNoi
 _BITS = 24
 _MOST = 0.9
 """Share of the readings that sit on a coarser step: the rest may have bit errors."""
+_MOST_SPIKES = 0.8  # share of the spikes that are one bit, or the same bit
 _OFF = 0.02  # of a step: readings this near to a multiple sit on it, 4 % by chance
 
 
@@ -136,14 +137,14 @@ def flipped_bits(reading_nT: FloatArray, residual_nT: FloatArray, cut: BoolArray
     log_bayes = float(np.sum(np.maximum(one_bit, -20.0) - any_size) + log_shares)
     fitting = float(np.mean(np.abs(rest) < 4))
     dominant = int(np.argmax(shares))
-    single = shares[dominant] >= 0.8 * count
+    single = shares[dominant] >= _MOST_SPIKES * count
     total = int(np.isfinite(residual_nT).sum())
     # A flip of a lower bit does not stand out.
     large = lsb_nT * powers[: top + 2] > CUT_SIGMA * float(np.median(spread))
     visible = 1.0 if single else max(int(large.sum()), 1) / (top + 2)
     rate, error = (np.array([size / total / visible]) for size in (count, np.sqrt(count)))
     what = f"{count} spikes, {100 * fitting:.0f} % of them a single flipped bit"
-    faults = () if fitting >= 0.8 else ("the others are not",)
+    faults = () if fitting >= _MOST_SPIKES else ("the others are not",)
     return Finding(BitErrors(dominant if single else None, "flip", lsb_nT), rate, error, 2.0 * log_bayes, what, faults)
 
 

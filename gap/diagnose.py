@@ -205,9 +205,7 @@ def investigate(
         answer = noise_and_answer(problem, dictionary, known)
     if problem.free_attitude_error and answer.left.structured:
         steady = blocks(problem, perturbed=PerturbedDesign(problem, parts_of(answer.noise.theta_rad)))
-        if len(steady) < len(
-            dictionary.found
-        ):  # the others are made of the attitude error that is found beside the names
+        if len(steady) < len(dictionary.found):  # the others are made of the error that is found beside the names
             dictionary = Dictionary(steady, problem.rows)
             answer = noise_and_answer(problem, dictionary, known)
     progress("residual structure, and where", 0.75)

@@ -50,7 +50,7 @@ def _ends(values: FloatArray) -> FloatArray:
 def _at_end(values: FloatArray, end: float, time: TimeArray) -> BoolArray:
     """Rows (N,) that are at the end of a range of (N,) values; none where that is no limit."""
     none = np.zeros(len(values), dtype=bool)
-    at = values == end
+    at: BoolArray = np.asarray(values == end)
     step, off = least_step(values[:, None]), np.abs(values - end)
     beside = int((~at & (off <= _STEPS_BESIDE * step)).sum())
     if at.sum() < max(FEWEST_CLIPPED, _TIMES_MORE * beside) or np.nanmax(off) <= _RANGE_STEPS * step:

@@ -65,6 +65,7 @@ class Pair(NamedTuple):
 
 _WITH_TORQUERS = "fluxtwin calibrate TELEMETRY --parameters b,S,T"
 _DIAGNOSE = "fluxtwin diagnose TELEMETRY --html diagnosis.html"
+_CHECK = f"fluxtwin check TELEMETRY; if it finds nothing, {_DIAGNOSE}"
 
 
 class Along(NamedTuple):
@@ -406,10 +407,11 @@ def _orbit_suspect_km(fit: Fit, telemetry: Telemetry, along: Along, strength_nT:
     """How far two-line elements may be off (1 sigma), where that may be what noise does not explain; else 0.
 
     The field of a dipole changes by no more than 3 B / r per unit of length. `along.allowed_nT` allows for what such an
-    error does, so the comparison is with noise alone.
+    error does, so twice the variance of noise alone is enough.
     """
     km = stated_km(telemetry)
-    if not km or telemetry.r_N_km is None or not (along.found_nT > along.chance_nT or _many_outliers(fit)):
+    suspect = along.too_much or along.found_nT > np.sqrt(2.0) * along.noise_nT or _many_outliers(fit)
+    if not km or telemetry.r_N_km is None or not suspect:
         return 0.0
     steepest = 3.0 * strength_nT / float(np.nanmin(np.linalg.norm(telemetry.r_N_km, axis=1)))
     return km if along.found_nT < float(np.hypot(along.noise_nT, SEVERAL * km * steepest)) else 0.0
@@ -425,7 +427,7 @@ def _next_step(
         return _DIAGNOSE
     only_b = not fit.calibration.sigmas[:9].any()
     if impossible or _many_outliers(fit) or (along.beyond_model and not only_b):
-        return "fluxtwin check TELEMETRY"
+        return _CHECK
     if along.too_much:
         return "fluxtwin calibrate TELEMETRY --parameters b,S" if only_b else _DIAGNOSE
     if direction.calibration_deg > direction.noise_deg:

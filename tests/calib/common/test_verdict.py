@@ -68,7 +68,7 @@ def test_the_clock_an_hour_off_is_no_calibration(seasat: Any) -> None:
     assert verdict is not None
     assert verdict.level == "bad"
     assert any("clock" in words for words in verdict.reasons)
-    assert verdict.next_step == "fluxtwin check TELEMETRY"
+    assert verdict.next_step.startswith("fluxtwin check TELEMETRY; if it finds nothing, fluxtwin diagnose")
 
 
 def test_a_clock_twenty_minutes_off_is_not_the_field_model(seasat: Any) -> None:
@@ -80,7 +80,7 @@ def test_a_clock_twenty_minutes_off_is_not_the_field_model(seasat: Any) -> None:
     words = " ".join(verdict.reasons)
     assert "an error of the field model" not in words
     assert "clock" in words
-    assert verdict.next_step == "fluxtwin check TELEMETRY"
+    assert verdict.next_step.startswith("fluxtwin check TELEMETRY; if it finds nothing, fluxtwin diagnose")
 
 
 def test_an_S_that_no_magnetometer_has_is_named(seasat: Any) -> None:

@@ -193,20 +193,18 @@ class Watch:
         return Changed(time, since, self.rows, self._words(most))
 
     def _words(self, place: int) -> str:
-        sigma, of_mean = self.noise.sigma_nT, 2 * len(DIRECTIONS) * SIZES.size
+        """Without a size: that of the change which rings first says little, and the diagnosis measures it."""
+        of_mean = 2 * len(DIRECTIONS) * SIZES.size
         if place >= of_mean:
-            axis, grown = divmod(place - of_mean, GROWTH.size)
-            where = f"axis {'xyz'[axis - 1]}" if axis else "the readings"
-            return f"the noise of {where} is about {GROWTH[grown]:.1f} times as large"
+            axis = (place - of_mean) // GROWTH.size
+            return f"the noise of {('axis ' + 'xyz'[axis - 1]) if axis else 'the readings'} has grown"
         direction, rest = divmod(place, 2 * SIZES.size)
-        size = float(SIZES[rest // 2]) * (1.0 if rest % 2 else -1.0)
+        sign = 1.0 if rest % 2 else -1.0
         if direction == 3:
-            return (
-                f"the readings are wrong in proportion to the field, by about {100 * size * sigma / _USUAL_nT:+.2g} %"
-            )
-        along = DIRECTIONS[direction][:3]
-        axes = " ".join(f"{size * sigma * a:+.2g} nT in {name}" for name, a in zip("xyz", along, strict=True) if a)
-        return f"the readings are wrong by about {axes}"
+            return f"the readings are too {'large' if sign > 0 else 'small'} in proportion to the field"
+        along = sign * DIRECTIONS[direction][:3]
+        axes = " ".join(f"{'+' if a > 0 else '-'}{name}" for name, a in zip("xyz", along, strict=True) if a)
+        return f"a bias of the readings towards {axes}"
 
 
 def enough(first: Telemetry) -> bool:

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from fluxtwin.calib.checks.copies import check_clipped, check_copied
 from fluxtwin.calib.checks.field import check_field
 from fluxtwin.calib.checks.outliers import check_outliers
 from fluxtwin.calib.checks.report import CheckReport, Finding, note, report, trap
@@ -101,10 +102,13 @@ def check_telemetry(telemetry: Telemetry, model: FieldModel, *, onboard: Onboard
     onboard: what is said to have been applied to the readings on board.
     """
     held, telemetry = check_held(telemetry)
-    stuck, faulty = check_stuck(telemetry)
+    clipped, beyond = check_clipped(telemetry)
+    copied, again = check_copied(telemetry)
+    blanked = np.where((beyond | again)[:, None], np.nan, telemetry.mag_B_nT)
+    stuck, faulty = check_stuck(telemetry.replace(mag_B_nT=blanked, origin=telemetry.origin))
     motion, away = check_motion(telemetry)
-    faulty = faulty | away
-    findings = [*stuck, *motion, *check_readings(telemetry)]
+    faulty = faulty | away | beyond | again
+    findings = [*clipped, *copied, *stuck, *motion, *check_readings(telemetry)]
     if held:
         findings = [*held, *(finding for finding in findings if not finding.code.startswith("missing_"))]
     lost = any(finding.severity == "trap" and finding.code in POSITION_TRAPS for finding in motion)

@@ -175,6 +175,8 @@ def _likely(sample: Sample, ratio: float) -> str:
     whole = bool((sample.mag_nT == np.round(sample.mag_nT)).all())
     counts = f"raw counts of about {plain(1.0 / ratio)} nT (`scale` = nT per count)"
     if guess and whole:
+        if _nearest_unit(ratio, UNIT_RATIO) is None:  # farther off than a scale error
+            return f"{counts}, as all readings are whole, or {guess}"
         return f"{guess}, or, as all readings are whole, {counts}"
     return guess or counts
 

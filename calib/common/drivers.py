@@ -96,6 +96,8 @@ def asked_for(telemetry: Telemetry, names: Sequence[str]) -> Asked:
                     left_out[name] = f"it is known in {100.0 * share:.0f} % of the rows with a reading"
                 else:
                     found[name] = known[name]
+            elif name.endswith("_current_A") and name not in names:
+                left_out[name] = f"it is no driver_NAME. --driver {name} asks for it"
     for name in names:
         column = next((one for one in (DRIVERS.prefix + name, name) if one in known), None)
         if column is not None:

@@ -119,8 +119,7 @@ def scalar_noise(
     declared, lsb, words = _declared(B_nT[some], noise_nT, lsb_nT)
     if declared is not None:
         return declared
-    r, step = residual_nT[some], np.diff(time[some]).astype("int64")
-    near = np.flatnonzero(step <= 1.5 * np.median(step)) if step.size else np.zeros(0, dtype=int)
+    r, near = residual_nT[some], _near(time[some])
     whole = clipped_sigma(r) ** 2
     scaled = whole * len(r) / max(len(r) - 9, 1)
     if near.size < _FEWEST_PAIRS:
@@ -162,12 +161,23 @@ def clipped_sigma(values: FloatArray) -> float:
     return float(np.std(inside))
 
 
+def white_nT(residual_nT: FloatArray, time: TimeArray) -> float:
+    """White noise of residuals (N,) from differences of neighbours; 0 where these are too few."""
+    near = _near(time)
+    return float(np.sqrt(0.5)) * clipped_sigma(np.diff(residual_nT)[near]) if near.size >= _FEWEST_PAIRS else 0.0
+
+
+def _near(time: TimeArray) -> np.ndarray:
+    """First rows (n,) of neighbours."""
+    step = np.diff(time).astype("int64")
+    return np.flatnonzero(step <= 1.5 * np.median(step)) if step.size else np.zeros(0, dtype=int)
+
+
 def _differences(r: FloatArray, time: TimeArray) -> tuple[np.ndarray, FloatArray]:
     """First rows (n,) of neighbours and the differences (n, 3); what is beyond four robust sigma is left out."""
-    step = np.diff(time).astype("int64")
-    if step.size == 0:
-        return np.zeros(0, dtype=int), np.zeros((0, 3))
-    near = np.flatnonzero(step <= 1.5 * np.median(step))
+    near = _near(time)
+    if near.size == 0:
+        return near, np.zeros((0, 3))
     d = r[near + 1] - r[near]
     robust = MAD_TO_SIGMA * np.median(np.abs(d), axis=0)
     inside = (np.abs(d) <= 4.0 * np.where(robust > 0, robust, np.inf)).all(axis=1)

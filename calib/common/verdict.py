@@ -1,8 +1,8 @@
 """Is a calibration good, what does it mean in degrees, what do the data not determine, what comes next: one verdict.
 
 The residual is compared with what noise, LSB and attitude error give. Where the attitude error was found in the same
-residual that comparison proves nothing, so the part along the field is compared by itself: no error of the attitude,
-large or slow, has a part there.
+residual that comparison proves nothing, so the part along the field is compared by itself: an error of the attitude,
+slow or not, shortens it by its square and no more.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from fluxtwin.calib.common.direction import (
     rotation_deg,
 )
 from fluxtwin.calib.common.error_model import ErrorModel
+from fluxtwin.calib.common.noise import white_nT
 from fluxtwin.calib.common.observability import correlated_pairs, direction_words
 from fluxtwin.calib.common.orbit_error import stated_km
 from fluxtwin.calib.common.records import Calibration
@@ -42,7 +43,6 @@ SEVERAL = 3.0
 FIELD_MODEL_NT = 150.0
 """Error of |B| that a main-field model may have, 1 sigma (error model of the World Magnetic Model, technical reports of
 2020 and 2025, at the surface; less in orbit): allowed before a residual is called impossible."""
-_MORE_ALONG = float(np.sqrt(2.0))  # twice the variance, as noise and calibration are themselves only estimated
 _FALSE_ALARM = 1e-3  # of a comparison of variances
 _TRUSTED = 1.5  # a declared attitude error is trusted to that factor, as in `error_model`
 _WEAK_S = 0.01  # 1 sigma: half a degree, or a percent of the field
@@ -52,6 +52,7 @@ _TOO_MANY_OUTLIERS = 0.25
 half alone would have given another calibration: the rows that are set aside are then no errors of single readings."""
 _NEARLY_ALL = 0.9  # of the outliers: a tenth may be errors of single readings besides
 _SHOWN = 5
+_SHOWN_SQUARE = 0.1  # of what is expected along the field: with less it is half a percent
 
 
 class Pair(NamedTuple):
@@ -64,6 +65,7 @@ class Pair(NamedTuple):
 
 _WITH_TORQUERS = "fluxtwin calibrate TELEMETRY --parameters b,S,T"
 _DIAGNOSE = "fluxtwin diagnose TELEMETRY --html diagnosis.html"
+_CHECK = f"fluxtwin check TELEMETRY; if it finds nothing, {_DIAGNOSE}"
 
 
 class Along(NamedTuple):
@@ -71,26 +73,23 @@ class Along(NamedTuple):
 
     found_nT: float
     noise_nT: float
-    """From white noise and LSB."""
+    """From white noise, LSB and the square of the attitude error."""
     allowed_nT: float
     """rms that chance and the errors of the calibration alone pass once in a thousand times."""
     chance_nT: float
     """rms that chance alone passes so often."""
-
-    @property
-    def most_nT(self) -> float:
-        """What is let pass: the errors are only estimated, but hide no more than a field model may be off by."""
-        return min(_MORE_ALONG * self.allowed_nT, float(np.hypot(self.allowed_nT, FIELD_MODEL_NT)))
+    turned: bool = False
+    """Whether the square of the attitude error is more than a tenth of `noise_nT`."""
 
     @property
     def too_much(self) -> bool:
         """Whether it is not let pass."""
-        return self.found_nT > self.most_nT
+        return self.found_nT > self.allowed_nT
 
     @property
     def beyond_model(self) -> bool:
         """Whether it is more than noise and a field model give."""
-        return bool(self.found_nT > np.hypot(self.allowed_nT, FIELD_MODEL_NT))
+        return self.too_much and bool(self.found_nT > np.hypot(self.chance_nT, FIELD_MODEL_NT))
 
 
 @dataclass(frozen=True)
@@ -107,7 +106,7 @@ class Verdict:
     along_field_nT: float
     """rms along the field, where no attitude error has a part."""
     along_field_expected_nT: float
-    """Of that, what white noise and LSB give."""
+    """Of that, what white noise, LSB and the square of the attitude error give."""
     direction: DirectionKnowledge
     set_aside: int
     """Rows that count for nothing, as outliers."""
@@ -185,7 +184,8 @@ def assess(
         turned = None if reference_nT is None else rotation_deg(field_nT[kept], reference_nT[fit.rows][kept])
         direction = replace(direction, rotation_counted=False, rotation_deg=turned)
     suspect_km = _orbit_suspect_km(fit, telemetry, along, strength_nT)
-    of_orbit = [say("verdict.elements", km=suspect_km)] if suspect_km else []
+    outliers = " and the outliers" if fit.rejected else ""
+    of_orbit = [say("verdict.elements", km=suspect_km, outliers=outliers)] if suspect_km else []
     limits = [] if impossible else _limits(fit, declared, along, direction, strength_nT, of_orbit)
     coupling = _coupling(fit, D) if impossible or along.too_much else ""
     return Verdict(
@@ -222,13 +222,38 @@ def _along(fit: Fit, telemetry: Telemetry, field_nT: FloatArray, kept: BoolArray
     r, u, B = r[kept], u[kept], telemetry.mag_B_nT[fit.rows][kept]
     turned = u @ (np.eye(3) + fit.calibration.S)
     noise = float(np.sqrt(((turned**2) @ fit.noise.variance_nT2).mean()))
+    if fit.noise.covariance.any():  # the axes were told from the attitude; along the field it has no part
+        noise = max(noise, white_nT(r, telemetry.time[fit.rows][kept]))
+    square = _square_of_attitude_nT(fit, field_nT[kept])
+    expected = float(np.hypot(noise, square))
     # Noise is new in every row: what lasts in the residual is no noise, but for the errors of the calibration itself.
     images = np.einsum("ni,nik->nk", u, of_parameters(B))
-    own = float(np.einsum("nj,jk,nk->n", images, fit.calibration.covariance[:12, :12], images).mean())
+    of_own = fit.calibration.covariance[:12, :12] @ (images.T @ images / len(images))
+    own = float(np.trace(of_own))
+    if own > 0.0:  # one draw of a few parameters: of as many degrees of freedom as have the same mean and variance
+        own *= _most_by_chance(own**2 / float(np.trace(of_own @ of_own)))
     if fit.error_model is not None and fit.error_model.slow_nT > 0.0:
         own *= _not_of_slow_errors(fit.error_model, noise, telemetry.time[fit.rows][kept])
-    chance = float(np.sqrt(chi2.ppf(1.0 - _FALSE_ALARM, len(r)) / len(r)))
-    return Along(float(np.sqrt((r**2).mean())), noise, chance * float(np.hypot(noise, np.sqrt(own))), chance * noise)
+    chance = float(np.sqrt(_most_by_chance(len(r))))
+    allowed = float(np.hypot(chance * expected, np.sqrt(own)))
+    return Along(float(np.sqrt((r**2).mean())), expected, allowed, chance * expected, square > _SHOWN_SQUARE * expected)
+
+
+def _most_by_chance(freedom: float) -> float:
+    """Variance over its expectation that chance passes once in a thousand times."""
+    return float(chi2.ppf(1.0 - _FALSE_ALARM, freedom) / freedom)
+
+
+def _square_of_attitude_nT(fit: Fit, field_nT: FloatArray) -> float:
+    """rms along the field of what an error of the reference attitude takes from it; its mean goes into S.
+
+    An angle theta leaves cos(theta). Its two components across the field have the variance sigma^2 each, so B theta^2 / 2
+    has the mean B sigma^2 and, of a normal distribution, as large a standard deviation.
+    """
+    model = fit.error_model
+    if fit.residuals_nT.shape[1] == 1 or model is None or not model.attitude_sigma_deg:
+        return 0.0
+    return float(np.sqrt((field_nT**2).sum(axis=1).mean()) * np.radians(model.attitude_sigma_deg) ** 2)
 
 
 def _not_of_slow_errors(model: ErrorModel, noise_nT: float, time: TimeArray) -> float:
@@ -305,6 +330,7 @@ def _limits(
     if along.too_much and not of_orbit:  # which says why
         rest = float(np.sqrt(along.found_nT**2 - along.noise_nT**2))
         beyond = say("verdict.beyond_model", model_nT=FIELD_MODEL_NT) if along.beyond_model else say("verdict.of_model")
+        beyond += say("verdict.of_turns") if along.turned else ""
         found.append(say("verdict.along", rest=rest, why=beyond, S=", S (which was not estimated)" if only_b else ""))
     if along.found_nT > _WEAK_S * strength_nT:
         found.append(say("verdict.misses", share=100 * along.found_nT / strength_nT))
@@ -334,9 +360,10 @@ def _residual_words(fit: Fit, along: Along, residual_nT: float, *, impossible: b
     model, because = fit.error_model, say("verdict.because_noise", reading=reading)
     if model is not None and model.attitude_sigma_deg is not None:
         because = say("verdict.because_both", reading=reading, model=model)
-    words = say("verdict.residual", residual=residual_nT, because=because, along=along)
+    said = "verdict.residual_turned" if along.turned else "verdict.residual"
+    words = say(said, residual=residual_nT, because=because, along=along)
     if along.chance_nT < along.found_nT and not along.too_much:
-        words += say("verdict.along_allowed", most=along.most_nT)
+        words += say("verdict.along_allowed", most=along.allowed_nT)
     return words
 
 
@@ -380,10 +407,11 @@ def _orbit_suspect_km(fit: Fit, telemetry: Telemetry, along: Along, strength_nT:
     """How far two-line elements may be off (1 sigma), where that may be what noise does not explain; else 0.
 
     The field of a dipole changes by no more than 3 B / r per unit of length. `along.allowed_nT` allows for what such an
-    error does, so the comparison is with noise alone.
+    error does, so twice the variance of noise alone is enough.
     """
     km = stated_km(telemetry)
-    if not km or telemetry.r_N_km is None or not (along.found_nT > _MORE_ALONG * along.noise_nT or _many_outliers(fit)):
+    suspect = along.too_much or along.found_nT > np.sqrt(2.0) * along.noise_nT or _many_outliers(fit)
+    if not km or telemetry.r_N_km is None or not suspect:
         return 0.0
     steepest = 3.0 * strength_nT / float(np.nanmin(np.linalg.norm(telemetry.r_N_km, axis=1)))
     return km if along.found_nT < float(np.hypot(along.noise_nT, SEVERAL * km * steepest)) else 0.0
@@ -399,7 +427,7 @@ def _next_step(
         return _DIAGNOSE
     only_b = not fit.calibration.sigmas[:9].any()
     if impossible or _many_outliers(fit) or (along.beyond_model and not only_b):
-        return "fluxtwin check TELEMETRY"
+        return _CHECK
     if along.too_much:
         return "fluxtwin calibrate TELEMETRY --parameters b,S" if only_b else _DIAGNOSE
     if direction.calibration_deg > direction.noise_deg:

@@ -369,7 +369,8 @@ def _at(work: Work, stage: str) -> Place:
     other = {"sensor": "telemetry", "telemetry": "sensor"}.get(stage)
     if other is None:
         return Place(stage, None, None, None, [], {**probabilities, "stage": blended(stages, stage, _AT_STAGE)})
-    either = blended(blended(stages, stage, 0.5), other, 0.5 - _AT_STAGE / 2.0)
+    half = 0.5 * _AT_STAGE
+    either = blended(blended(stages, stage, half / (1.0 - half)), other, half)
     even = {name: blended(shares, "none", 0.5) for name, shares in work.where.probabilities.items()}
     return Place(stage, None, None, None, [other], {**even, "stage": either})
 

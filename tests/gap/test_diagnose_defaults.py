@@ -128,6 +128,8 @@ def test_outliers_are_a_finding(record: Telemetry) -> None:
     reading[rows] = reading[rows][:, [2, 1, 0]]
     found = asked(record.replace(mag_B_nT=reading), DECLARED)
     assert found.verdict == "unknown" and found.where.stage == "telemetry"
+    stages = found.where.probabilities["stage"]
+    assert stages["sensor"] + stages["telemetry"] >= 0.9 - 1e-9
     assert found.samples["cut"] == 12
     assert "12 rows have outliers of more than six sigma, from 2026-03-01T00:16:40" in found.sentence
     assert "apart from these rows there is no gap" in found.sentence

@@ -129,11 +129,16 @@ def test_a_row_a_second_does_not_ring() -> None:
 
 @pytest.mark.parametrize(
     ("change", "within", "word"),
-    [({"bias_nT": 100.0}, 150, "wrong"), ({"noise_nT": 40.0}, 60, "noise"), ({"scale": 0.003}, 40, "about +0.")],
+    [
+        ({"bias_nT": 100.0}, 150, "the readings"),
+        ({"noise_nT": 40.0}, 60, "has grown"),
+        ({"scale": 0.003}, 40, "too large in proportion to the field"),
+    ],
 )
 def test_a_change_rings_and_is_dated(record: Telemetry, change: dict[str, float], within: int, word: str) -> None:
     _, changed = watched(with_change(record, **change))
     assert changed is not None and word in changed.what, changed
+    assert not any(letter.isdigit() for letter in changed.what)
     assert 0 < changed.rows - (AT - FIRST) <= within
     apart = abs((changed.since - record.time[AT]) / np.timedelta64(10, "s"))
     assert apart <= within

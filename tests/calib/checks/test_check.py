@@ -229,6 +229,11 @@ TRAPS: dict[str, tuple[Callable[[Telemetry], Telemetry], str, str]] = {
         "magnetometer_unit",
         "from 0 to 4095 with zero at 2048 (offset binary), about 4",
     ),
+    "whole counts": (
+        lambda t: t.replace(mag_B_nT=np.rint(t.mag_B_nT / 15.26)),
+        "magnetometer_unit",
+        "probably raw counts of about 15",
+    ),
     "milligauss": (lambda t: times(t, 1e-2), "magnetometer_unit", "milligauss labelled as nT"),
     "microtesla": (lambda t: times(t, 1e-3), "magnetometer_unit", "microtesla labelled as nT"),
     "tesla": (lambda t: times(t, 1e-9), "magnetometer_unit", "tesla labelled as nT"),

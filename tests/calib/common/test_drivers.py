@@ -552,3 +552,9 @@ def test_products_of_columns_are_those_of_generalized_least_squares() -> None:
 
 def test_of_delays_that_are_alike_but_for_rounding_the_first_is_taken() -> None:
     assert _likeliest(np.array([1.0, 5.0 - 1e-12, 5.0, 4.0])) == 1
+
+
+def test_a_recorded_current_that_all_does_not_try_is_named() -> None:
+    record = flown(90).replace(drivers={}, array_current_A=np.linspace(0.0, 1.0, ROWS))
+    fit = fit_of(record, driver=["all"])
+    assert "array_current_A was not tried: it is no driver_NAME. --driver array_current_A asks for it" in fit.messages

@@ -118,7 +118,9 @@ def test_a_verdict_names_the_elements_where_they_may_be_the_cause_and_the_diagno
     assert known is not None and not any("elements" in line for line in known.lines)
     turned = far.replace(provenance=stated, q_NB=np.array(far.q_NB) * [-1, -1, -1, 1])
     bad = fluxtwin.calibrate(turned).verdict
-    assert bad is not None and bad.level == "bad" and bad.reasons and bad.next_step == "fluxtwin check TELEMETRY"
+    assert (
+        bad is not None and bad.level == "bad" and bad.reasons and bad.next_step.startswith("fluxtwin check TELEMETRY;")
+    )
     assert not any("elements" in line for line in bad.lines)
     right = one
     good = fluxtwin.calibrate(right.replace(provenance={**right.provenance, ALONG_TRACK_KM: str(SIGMA_KM)})).verdict
@@ -132,4 +134,11 @@ def test_elements_are_suspect_between_twice_the_noise_and_what_three_sigma_do(
     """Variances: 141.4^2 is twice that of 100 nT; 36 km by 3 * 40,000 / 7000 nT/km of a dipole and the noise are 625 nT."""
     fit: Any = SimpleNamespace(rejected=0, kept=np.ones(9, dtype=bool))
     record: Any = SimpleNamespace(provenance={ALONG_TRACK_KM: "12"}, r_N_km=np.array([[7000.0, 0.0, 0.0]] * 9))
-    assert _orbit_suspect_km(fit, record, Along(found_nT, 100.0, 100.0, 100.0), 40_000.0) == suspect_km
+    assert _orbit_suspect_km(fit, record, Along(found_nT, 100.0, 900.0, 100.0), 40_000.0) == suspect_km
+
+
+def test_elements_are_suspect_of_what_no_error_of_the_calibration_explains() -> None:
+    fit: Any = SimpleNamespace(rejected=0, kept=np.ones(9, dtype=bool))
+    record: Any = SimpleNamespace(provenance={ALONG_TRACK_KM: "12"}, r_N_km=np.array([[7000.0, 0.0, 0.0]] * 9))
+    for allowed_nT, suspect_km in ((109.0, 12.0), (111.0, 0.0)):
+        assert _orbit_suspect_km(fit, record, Along(110.0, 100.0, allowed_nT, 100.0), 40_000.0) == suspect_km

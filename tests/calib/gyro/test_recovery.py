@@ -16,6 +16,7 @@ import fluxtwin
 from fluxtwin.calib.common.fit import Fit
 from fluxtwin.calib.common.records import seconds_of
 from fluxtwin.calib.gyro import calibrate
+from fluxtwin.calib.gyro import solve as solver
 from fluxtwin.calib.gyro.motion import cut, degree_for, follow
 from fluxtwin.calib.gyro.solve import BASIS_S, GyroRows, drops, fields_without_errors, solve
 from fluxtwin.sim.base.errors import BadInput, NoAnswer
@@ -166,6 +167,22 @@ def test_what_the_motion_does_not_show_is_refused() -> None:
     degrees_s = 180.0 / np.pi * np.median(np.linalg.norm(np.asarray(few.rate_B_rad_s), axis=1))
     with pytest.raises(NoAnswer, match=f"fewer than 3 stretches[^(]* by {degrees_s:.3g} deg/s .* more than 57 deg"):
         fluxtwin.calibrate(few, method="gyro")
+
+
+def test_the_gyros_noise_is_sought_in_a_part_of_many_stretches(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of 79 stretches of 80 s in 27 along the whole record; and it is found as well."""
+    seen: list[np.ndarray] = []
+    whole = solver._ratio
+
+    def ratio(stretches: Any, *rest: Any, **more: Any) -> float:
+        seen.append(np.array([one.rows[0] for one in stretches]))
+        return whole(stretches, *rest, **more)
+
+    monkeypatch.setattr(solver, "_ratio", ratio)
+    record = flown(7200, rows=1600)
+    fit = calibrate.calibrate_gyro(record, load_field("igrf14"), stretch_s=80.0)
+    assert all(len(rows) <= 30 and len(set(np.diff(rows))) == 1 and rows[-1] > 1400 for rows in seen) and seen
+    assert np.degrees(fit.solved.gyro_noise_rad_s) == pytest.approx(0.02, rel=0.2)
 
 
 @pytest.mark.parametrize("count", [2, 3])

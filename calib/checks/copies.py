@@ -1,0 +1,91 @@
+"""Readings that are not of their instant: an axis at the end of its range, and a block that stands there twice."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fluxtwin.calib.checks.report import Finding, trap
+from fluxtwin.calib.checks.stuck import least_step, runs
+from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
+from fluxtwin.sim.earth import epoch
+from fluxtwin.sim.telemetry.record import Telemetry
+
+FEWEST_CLIPPED = 10
+"""Rows at the end of a range: fewer come about by chance, where steps are coarse."""
+_STEPS_BESIDE = 8
+"""Least steps beside the end of the range. About a turning point readings lie as the square root of their distance from it:
+so many steps hold twice as many rows as the last one."""
+_TIMES_MORE = 3.0
+_RANGE_STEPS = 20.0
+"""A reading that spans fewer least steps stands at its ends anyway."""
+_APPROACH = 5.0
+"""Median changes from row to row within which a reading comes to its limit; a fill value or a bit error jumps there."""
+SHORTEST_COPY = 20
+"""Rows: noise of one step on three axes repeats one row in a hundred by chance, and never twenty in turn."""
+_MOST_COPIED = 0.5
+"""Of the rows: of a spinner with coarse steps nearly all readings occur again a turn later."""
+
+
+def check_clipped(telemetry: Telemetry) -> tuple[list[Finding], BoolArray]:
+    """The trap `saturated`, an axis each, and which rows (N,) have such an axis."""
+    findings, clipped = [], np.zeros(len(telemetry), dtype=bool)
+    for axis in range(3):
+        values = telemetry.mag_B_nT[:, axis]
+        ends = {float(end): _at_end(values, float(end), telemetry.time) for end in _ends(values)}
+        found = {end: rows for end, rows in ends.items() if rows.any()}
+        both: BoolArray = np.any([clipped & False, *found.values()], axis=0)
+        count = len(runs(both, telemetry.time))
+        if count > 1:  # once may be a hold
+            words = " and ".join(f"{end:.10g} nT in {rows.sum()} rows" for end, rows in found.items())
+            findings.append(trap("saturated", np.flatnonzero(both), axis="xyz"[axis], at=words, count=count))
+            clipped |= both
+    return findings, clipped
+
+
+def _ends(values: FloatArray) -> FloatArray:
+    known = values[np.isfinite(values)]
+    return np.unique([known.min(), known.max()]) if known.size else known
+
+
+def _at_end(values: FloatArray, end: float, time: TimeArray) -> BoolArray:
+    """Rows (N,) that are at the end of a range of (N,) values; none where that is no limit."""
+    none = np.zeros(len(values), dtype=bool)
+    at: BoolArray = np.asarray(values == end)
+    step, off = least_step(values[:, None]), np.abs(values - end)
+    beside = int((~at & (off <= _STEPS_BESIDE * step)).sum())
+    if at.sum() < max(FEWEST_CLIPPED, _TIMES_MORE * beside) or np.nanmax(off) <= _RANGE_STEPS * step:
+        return none
+    found = runs(at, time)
+    padded = np.concatenate([[np.nan], off, [np.nan]])
+    nearest = np.fmin(padded[found[:, 0]], padded[found[:, 1] + 2])  # of the rows before and after
+    moves = np.abs(np.diff(values))
+    usual = float(np.nanmedian(moves[moves > 0.0]))
+    if not np.nanmedian(nearest) <= _APPROACH * usual:
+        return none
+    return at
+
+
+def check_copied(telemetry: Telemetry) -> tuple[list[Finding], BoolArray]:
+    """The trap `copied_block`, and which rows (N,) hold readings that stood in earlier rows."""
+    copied, good = np.zeros(len(telemetry), dtype=bool), np.flatnonzero(telemetry.has_reading)
+    if good.size < 2 * SHORTEST_COPY:
+        return [], copied
+    # one number a reading, by weights that no two readings share by chance
+    _, first, place = np.unique(
+        telemetry.mag_B_nT[good] @ np.sqrt([2.0, 3.0, 5.0]), return_index=True, return_inverse=True
+    )
+    lag = np.arange(good.size) - first[place]
+    starts = np.flatnonzero(np.diff(lag, prepend=-1))
+    lengths = np.diff(np.append(starts, good.size))
+    long = (lengths >= SHORTEST_COPY) & (lag[starts] > 0)
+    if not long.any() or lengths[long].sum() > _MOST_COPIED * good.size:
+        return [], copied
+    findings = []
+    for start, length in zip(starts[long], lengths[long], strict=True):
+        later = good[start : start + length]
+        earlier = good[start - lag[start] : start - lag[start] + length]
+        copied[later] = True
+        ends = [epoch.iso(telemetry.time[row], "s") for row in (later[0], later[-1], earlier[0], earlier[-1])]
+        said = dict(zip(("first", "last", "from_", "to"), ends, strict=True))
+        findings.append(trap("copied_block", later, count=length, **said))
+    return findings, copied

@@ -141,12 +141,13 @@ def diagnose(
         )
     except (BadInput, np.linalg.LinAlgError):
         if traps:  # no magnetometer reads like this
-            raise NoAnswer(words.wrong_file(traps, "unknown", ""), evidence={}) from None
+            wrong = input_warnings.unnamed(traps, ())
+            raise NoAnswer(words.wrong_file(wrong, "unknown", ""), evidence={}) from None
         raise
     stuck = input_warnings.stuck_attitude(record, budget.attitude_sigma_rad)
-    if traps:
+    if wrong := input_warnings.unnamed(traps, [effect.name for effect in found.effects]):
         verdict = "effect" if found.verdict == "effect" else "unknown"
-        found = replace(found, verdict=verdict, sentence=words.wrong_file(traps, verdict, found.sentence), resembles=())
+        found = replace(found, verdict=verdict, sentence=words.wrong_file(wrong, verdict, found.sentence), resembles=())
     notes = [
         _CORRECTED.format(record.corrected_by) if record.corrected_by else None,
         *found.notes,

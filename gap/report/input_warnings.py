@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Sequence
+
 import numpy as np
 
 from fluxtwin.calib.checks.check import check_telemetry
+from fluxtwin.calib.checks.report import Finding
 from fluxtwin.calib.checks.stuck import check_stuck
 from fluxtwin.gap.noise.choice import NOISE_LOG_SD, NoiseModel
 from fluxtwin.sim.base.types import BoolArray
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.earth.field import FieldModel
+from fluxtwin.sim.effects.response import Saturation
 from fluxtwin.sim.telemetry.record import Telemetry
 
 MISFIT = 0.05
@@ -52,11 +56,16 @@ def without_stuck(telemetry: Telemetry) -> tuple[Telemetry, BoolArray]:
     return telemetry.replace(mag_B_nT=np.where(rows[:, None], np.nan, telemetry.mag_B_nT)), rows
 
 
-def traps(telemetry: Telemetry, model: FieldModel) -> list[str]:
+def traps(telemetry: Telemetry, model: FieldModel) -> list[Finding]:
     """The traps that `fluxtwin check` finds, but outliers and what is stuck at times: the diagnosis sets them aside and says
     so itself."""
     found = check_telemetry(without_stuck(telemetry)[0], model).traps
-    return [finding.text for finding in found if finding.code != "outliers"]
+    return [finding for finding in found if finding.code != "outliers"]
+
+
+def unnamed(traps: Sequence[Finding], names: Collection[str]) -> list[str]:
+    """What the traps say, but for a range that is too small where that is what a diagnosis names."""
+    return [one.text for one in traps if one.code != "saturated" or Saturation.name not in names]
 
 
 def stuck_attitude(telemetry: Telemetry, attitude_sigma_rad: float | None) -> str | None:

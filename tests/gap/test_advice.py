@@ -7,9 +7,10 @@ import dataclasses
 import numpy as np
 import pytest
 
+from fluxtwin.calib.checks.report import trap
 from fluxtwin.gap.noise.choice import NoiseModel
 from fluxtwin.gap.records.diagnosis import Detectable
-from fluxtwin.gap.report.input_warnings import noise_below, stuck_and_misfit, stuck_attitude
+from fluxtwin.gap.report.input_warnings import noise_below, stuck_and_misfit, stuck_attitude, unnamed
 from fluxtwin.gap.report.words import hours_of, would_settle
 from fluxtwin.sim.effects.base import SignalEffect
 from fluxtwin.sim.effects.switched_field import HeaterSwitching
@@ -87,3 +88,10 @@ def test_an_effect_that_forgets_what_a_diagnosis_needs_cannot_be_made():
     with pytest.raises(TypeError, match="hum does not say its settled_by"):
         type("Hum", (SignalEffect,), said)
     assert type("Hum", (SignalEffect,), said | {"settled_by": "silence"}).name == "hum"
+
+
+def test_a_range_that_is_too_small_is_no_wrong_file_where_the_diagnosis_names_it() -> None:
+    clipped = trap("saturated", axis="x", at="32000 nT in 40 rows", count=3)
+    other = trap("sun_vector", off=40.0)
+    assert unnamed([clipped, other], ["bias_step"]) == [clipped.text, other.text]
+    assert unnamed([clipped, other], ["saturation"]) == [other.text]

@@ -46,6 +46,11 @@ class ScannerCalibration:
     rows: np.ndarray
     """(N,) rows of the record used."""
 
+    @property
+    def sigmas_rad(self) -> FloatArray:
+        """(2,) 1 sigma of roll and pitch."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
     def apply(self, telemetry: Telemetry) -> Telemetry:
         """The record with its measured nadir corrected; attitude made from the old one is left as it is."""
         if telemetry.nadir_B is None:

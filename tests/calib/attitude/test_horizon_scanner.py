@@ -37,7 +37,7 @@ def telemetry(config):
 def test_biases_come_back_and_the_residual_falls_to_the_sensors_noise(telemetry, close):
     found = calibrate_scanner(telemetry, heads=(2, 3))
     assert found.passes == 12
-    pull = (np.degrees(found.bias_rad) - BIAS_DEG) / np.degrees(np.sqrt(np.diag(found.covariance)))
+    pull = (np.degrees(found.bias_rad) - BIAS_DEG) / np.degrees(found.sigmas_rad)
     assert (np.abs(pull) < 4.0).all()  # false alarm 1.3e-4
     assert np.degrees(found.rms_before_rad) > 1.5 * np.degrees(found.rms_after_rad)
     # Sun: 0.5/sqrt 12 and 0.12 deg; scanner: 0.15 deg; the papers print 0.24 deg after the same calibration.
@@ -50,7 +50,7 @@ def test_sigmas_hold_over_seeds(config):
     pulls = []
     for seed in range(20):
         found = calibrate_scanner(mission.fly(config.updated({"seed": seed})).telemetry, heads=(2, 3))
-        pulls.append((np.degrees(found.bias_rad) - BIAS_DEG) / np.degrees(np.sqrt(np.diag(found.covariance))))
+        pulls.append((np.degrees(found.bias_rad) - BIAS_DEG) / np.degrees(found.sigmas_rad))
     # 40 pulls: their rms is 1 +- 0.11; stated sigmas may be a little wide, by the small-sample factor.
     assert 0.6 < np.sqrt(np.mean(np.square(pulls))) < 1.35
 
@@ -65,13 +65,13 @@ def test_the_corrected_record_has_no_bias_left(telemetry):
 def test_a_scanner_without_bias_gets_none(config):
     plain = config.updated({"horizon_scanner.roll_bias_deg": 0.0, "horizon_scanner.pitch_bias_deg": 0.0})
     found = calibrate_scanner(mission.fly(plain).telemetry, heads=(2, 3))
-    assert (np.abs(found.bias_rad) < 4.0 * np.sqrt(np.diag(found.covariance))).all()
+    assert (np.abs(found.bias_rad) < 4.0 * found.sigmas_rad).all()
 
 
 def test_swapped_or_reversed_angles_would_be_noticed(telemetry):
     """Mutants: the answer is tens of sigmas from the biases swapped, or with another sign."""
     found = calibrate_scanner(telemetry, heads=(2, 3))
-    sigma = np.degrees(np.sqrt(np.diag(found.covariance)))
+    sigma = np.degrees(found.sigmas_rad)
     for wrong in (BIAS_DEG[::-1], -BIAS_DEG, BIAS_DEG * [1, -1], BIAS_DEG * [-1, 1]):
         assert (np.abs(np.degrees(found.bias_rad) - wrong) / sigma).max() > 10.0
 
@@ -80,8 +80,8 @@ def test_a_trusted_head_that_is_turned_goes_into_the_scanner(config, telemetry):
     """Why heads are chosen: a turned head is taken for a biased scanner, with small sigmas and no sign of it."""
     turned = mission.fly(config.updated({"sun_sensor.2.misalignment_deg": [0.6, 0.0, 0.0]})).telemetry
     right, wrong = (calibrate_scanner(record, heads=(2, 3)) for record in (telemetry, turned))
-    assert (np.abs(wrong.bias_rad - right.bias_rad) > 5 * np.sqrt(np.diag(right.covariance))).any()
-    assert (np.abs(np.degrees(right.bias_rad) - BIAS_DEG) < 4 * np.degrees(np.sqrt(np.diag(right.covariance)))).all()
+    assert (np.abs(wrong.bias_rad - right.bias_rad) > 5 * right.sigmas_rad).any()
+    assert (np.abs(np.degrees(right.bias_rad) - BIAS_DEG) < 4 * np.degrees(right.sigmas_rad)).all()
 
 
 def test_too_little_is_said_in_words(telemetry):

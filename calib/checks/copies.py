@@ -5,19 +5,19 @@ from __future__ import annotations
 import numpy as np
 
 from fluxtwin.calib.checks.report import Finding, trap
-from fluxtwin.calib.checks.stuck import least_step, runs
+from fluxtwin.calib.checks.stuck import runs
 from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.telemetry.record import Telemetry
 
 FEWEST_CLIPPED = 10
 """Rows at the end of a range: fewer come about by chance, where steps are coarse."""
-_STEPS_BESIDE = 8
-"""Least steps beside the end of the range. About a turning point readings lie as the square root of their distance from it:
-so many steps hold twice as many rows as the last one."""
+_BESIDE = 8
+"""Values that occur next to the end of the range. About a turning point readings lie as the square root of their distance
+from it: in coarse steps, so many hold twice as many rows as the last one."""
 _TIMES_MORE = 3.0
-_RANGE_STEPS = 20.0
-"""A reading that spans fewer least steps stands at its ends anyway."""
+_FEWEST_VALUES = 20
+"""A reading with fewer stands at its ends anyway."""
 _APPROACH = 5.0
 """Median changes from row to row within which a reading comes to its limit; a fill value or a bit error jumps there."""
 SHORTEST_COPY = 20
@@ -43,26 +43,24 @@ def check_clipped(telemetry: Telemetry) -> tuple[list[Finding], BoolArray]:
 
 
 def _ends(values: FloatArray) -> FloatArray:
-    known = values[np.isfinite(values)]
-    return np.unique([known.min(), known.max()]) if known.size else known
+    """Least and greatest of the values (N,), where many more rows have them than the values next to them."""
+    level, rows = np.unique(values[np.isfinite(values)], return_counts=True)
+    if level.size < _FEWEST_VALUES:
+        return level[:0]
+    beside = np.array([rows[1 : _BESIDE + 1].sum(), rows[-_BESIDE - 1 : -1].sum()])
+    ends: FloatArray = level[[0, -1]]
+    return ends[rows[[0, -1]] >= np.maximum(FEWEST_CLIPPED, _TIMES_MORE * beside)]
 
 
 def _at_end(values: FloatArray, end: float, time: TimeArray) -> BoolArray:
-    """Rows (N,) that are at the end of a range of (N,) values; none where that is no limit."""
-    none = np.zeros(len(values), dtype=bool)
-    at: BoolArray = np.asarray(values == end)
-    step, off = least_step(values[:, None]), np.abs(values - end)
-    beside = int((~at & (off <= _STEPS_BESIDE * step)).sum())
-    if at.sum() < max(FEWEST_CLIPPED, _TIMES_MORE * beside) or np.nanmax(off) <= _RANGE_STEPS * step:
-        return none
+    """Rows (N,) that are at the end of a range of (N,) values; none where they jump there."""
+    at, off = np.asarray(values == end), np.abs(values - end)
     found = runs(at, time)
     padded = np.concatenate([[np.nan], off, [np.nan]])
     nearest = np.fmin(padded[found[:, 0]], padded[found[:, 1] + 2])  # of the rows before and after
     moves = np.abs(np.diff(values))
     usual = float(np.nanmedian(moves[moves > 0.0]))
-    if not np.nanmedian(nearest) <= _APPROACH * usual:
-        return none
-    return at
+    return at if np.nanmedian(nearest) <= _APPROACH * usual else np.zeros_like(at)
 
 
 def check_copied(telemetry: Telemetry) -> tuple[list[Finding], BoolArray]:

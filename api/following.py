@@ -115,7 +115,7 @@ def follow(
         watch = begin(
             first, load_field(declared.field or "igrf14", declared.degree), budget_of(None, (), declared), known
         )
-        said(f"watching: {watch.noise.words}; {_manner(watch)}")
+        said(f"watching: {watch.found.words}; {_manner(watch)}")
         hours = _Hours(watch, said)
         changed = None if known is None else hours.take(first)
         while changed is None and (block := rows.one_more(every)) is not None:

@@ -89,6 +89,9 @@ class Watch:
 
     model: FieldModel
     noise: NoiseModel
+    """The most that the first rows allow."""
+    found: NoiseModel
+    """The likeliest there."""
     by_size: bool
     """Rows are taken by the size of the field alone: nothing bounds the attitude error, or it is large."""
     calibration: Calibration
@@ -254,11 +257,12 @@ def begin(
     if calibration is not None:
         scale = np.concatenate([np.full(9, _USUAL_nT), np.ones(len(calibration.values) - 9)])
         known = calibration.covariance * np.outer(scale, scale)
-        return Watch(model, sure, by_size, calibration, block_diag(np.eye(3), known))
+        return Watch(model, sure, found, by_size, calibration, block_diag(np.eye(3), known))
     instrument = problem.setting.instrument
     watch = Watch(
         model,
         sure,
+        found,
         by_size,
         Calibration(instrument.S, instrument.b_nT),
         block_diag(np.eye(3), np.eye(12) * 1e5**2),  # nothing is known of S and b before the first rows

@@ -14,9 +14,8 @@ from fluxtwin.calib.checks.evidence import FLAT, slope_of_form
 from fluxtwin.calib.checks.report import Finding, note, trap
 from fluxtwin.calib.checks.sample import Sample
 from fluxtwin.calib.checks.stuck import fill_words, least_step
-from fluxtwin.calib.checks.values import GAP_STEPS
 from fluxtwin.calib.common.digits import plain
-from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
+from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.earth import epoch, frames
 from fluxtwin.sim.earth.field import FieldModel, field_N_nT
 from fluxtwin.sim.telemetry.record import Telemetry
@@ -57,9 +56,8 @@ def check_outliers(
     rows, left, field, jumps_nT = _left(telemetry, sample, model, usable)
     if rows.size < _FEWEST:
         return [], mask
-    found = [_deviation(left[part]) for part in _stretches(telemetry.time[rows])]
-    deviation, inner = np.concatenate([one for one, _ in found]), np.concatenate([rest for _, rest in found])
-    ratio = _ratio(deviation, inner if inner.any() else ~inner, field, least_step(telemetry.mag_B_nT[rows]))
+    deviation = _deviation(left)
+    ratio = _ratio(deviation, field, least_step(telemetry.mag_B_nT[rows]))
     if jumps_nT is None:
         ratio[_driven(telemetry, rows, 1 if sample is not None else _FURTHEST)] = 0.0
     else:  # a switch that was recorded some rows early or late makes a jump as large as its field
@@ -211,55 +209,43 @@ def _running_median(values: FloatArray) -> FloatArray:
     return np.asarray(median_filter(values, size=(_WINDOW, 1), mode="mirror"))
 
 
-def _stretches(time: TimeArray) -> list[slice]:
-    """Rows without a gap between them; a running median knows no others."""
-    step = np.diff(time).astype("int64")
-    ends = [0, *(np.flatnonzero(step > GAP_STEPS * np.median(step)) + 1).tolist(), len(time)]
-    return [slice(*pair) for pair in itertools.pairwise(ends)]
-
-
-def _deviation(left: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """(n, d) what is left, less its running median, and the rows (n,) that have neighbours on both sides.
-
-    In the others, the first and last four rows, less also what that median changes by over as many rows: of a slope, that of
-    a mirrored window lags. A stretch shorter than twice the window has none but such rows.
-    """
+def _deviation(left: FloatArray) -> FloatArray:
+    """(n, d) what is left, less its running median. In the first and last four rows, which have neighbours on one side
+    alone, less also what that median changes by over as many rows: of a slope, that of a mirrored window lags."""
     course, half = _running_median(left), _WINDOW // 2
-    deviation, inner = left - course, np.ones(len(left), dtype=bool)
-    edges = [(slice(half), slice(half, 2 * half + 1)), (slice(-half, None), slice(-2 * half - 1, -half))]
-    for ends, beside in edges if len(left) >= 2 * _WINDOW else [(slice(None), slice(None))]:
+    deviation = left - course
+    for ends, beside in ((slice(half), slice(half, 2 * half + 1)), (slice(-half, None), slice(-2 * half - 1, -half))):
         beyond = np.abs(deviation[ends]) - np.ptp(course[beside], axis=0)
-        deviation[ends], inner[ends] = np.sign(deviation[ends]) * np.maximum(beyond, 0.0), False
-    return deviation, inner
+        deviation[ends] = np.sign(deviation[ends]) * np.maximum(beyond, 0.0)
+    return deviation
 
 
-def _ratio(deviation: FloatArray, inner: BoolArray, field_nT: FloatArray | None, least_step_nT: float) -> FloatArray:
-    """(n,) size of the deviations in robust standard deviations, which are those of the inner rows.
+def _ratio(deviation: FloatArray, field_nT: FloatArray | None, least_step_nT: float) -> FloatArray:
+    """(n,) size of the deviations in robust standard deviations.
 
     With the field (n, 3): along it, where only the reading errs, and across it, where attitude errors act in
     proportion to the field.
     """
     if field_nT is None:
-        return np.asarray(np.abs(deviation[:, 0]) / _scale(deviation[:, 0], inner, 0.6745, least_step_nT))
+        return np.asarray(np.abs(deviation[:, 0]) / _scale(deviation[:, 0], 0.6745, least_step_nT))
     size = np.linalg.norm(field_nT, axis=1)
     along = np.sum(deviation * field_nT, axis=1) / size
     across = np.sqrt(np.maximum(np.sum(deviation**2, axis=1) - along**2, 0.0))
-    plain, both = _scale(along, inner, 0.6745, least_step_nT), _scale(across, inner, 1.1774, least_step_nT)
+    plain, both = _scale(along, 0.6745, least_step_nT), _scale(across, 1.1774, least_step_nT)
     lever = (size / np.median(size)) ** 2
     both = np.sqrt(np.minimum(plain, both) ** 2 + np.maximum(both**2 - plain**2, 0.0) * lever)
     return np.asarray(np.maximum(np.abs(along) / plain, across / both))
 
 
-def _scale(deviation: FloatArray, inner: BoolArray, median: float, least_step_nT: float) -> FloatArray:
+def _scale(deviation: FloatArray, median: float, least_step_nT: float) -> FloatArray:
     """(n,) robust standard deviation of a few hundred rows around; no less than 0.7 of the record's.
 
     median: that of the absolute value where the standard deviation is one (0.6745 on one axis, 1.1774 on two).
     """
     size = np.abs(deviation) / median
-    usual = float(np.median(size[inner]))
-    parts = np.array_split(np.arange(len(size)), max(1, len(size) // _BLOCK))
-    near = [np.full(len(part), np.median(size[part][inner[part]]) if inner[part].any() else usual) for part in parts]
-    return np.asarray(np.maximum(np.maximum(np.concatenate(near), 0.7 * usual), 0.4 * least_step_nT + 1e-6))
+    blocks = np.array_split(size, max(1, len(size) // _BLOCK))
+    near = np.concatenate([np.full(len(block), np.median(block)) for block in blocks])
+    return np.asarray(np.maximum(np.maximum(near, 0.7 * np.median(size)), 0.4 * least_step_nT + 1e-6))
 
 
 def _driven(telemetry: Telemetry, rows: np.ndarray, beside: int) -> BoolArray:

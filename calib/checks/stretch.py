@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fluxtwin.calib.checks.evidence import S_SIGMA, BIAS_SIGMA_nT, SCALE_nT
+from fluxtwin.calib.checks.evidence import S_SIGMA, BIAS_SIGMA_nT, MODEL_nT, SCALE_nT
 from fluxtwin.calib.checks.orientation import FAR_BETTER, PLAIN_MOUNTINGS, mountings
 from fluxtwin.calib.checks.outliers import LONGEST_RUN, STANDS_OUT, robust_fit
 from fluxtwin.calib.checks.report import Finding, trap
@@ -32,7 +32,7 @@ def check_stretch(sample: Sample) -> list[Finding]:
         off = (reading - SCALE_nT * mended).T
         fit = np.column_stack([robust_fit(design, axis, sigmas_nT) for axis in off])
         fit[:3] += SCALE_nT * np.eye(3)
-        typical = float(np.median(np.linalg.norm(reading - design @ fit, axis=1)))
+        typical = max(float(np.median(np.linalg.norm(reading - design @ fit, axis=1))), MODEL_nT)
         left = np.sum((reading - mag @ fit[:3] - fit[3]) ** 2, axis=1) / typical**2
         found = []
         for mounting in mountings()[1:PLAIN_MOUNTINGS]:

@@ -360,8 +360,10 @@ def _residual_words(fit: Fit, along: Along, residual_nT: float, *, impossible: b
     model, because = fit.error_model, say("verdict.because_noise", reading=reading)
     if model is not None and model.attitude_sigma_deg is not None:
         because = say("verdict.because_both", reading=reading, model=model)
-    said = "verdict.residual_turned" if along.turned else "verdict.residual"
-    words = say(said, residual=residual_nT, because=because, along=along)
+    if along.turned:
+        words = say("verdict.residual_turned", residual=residual_nT, because=because, along=along)
+    else:
+        words = say("verdict.residual", residual=residual_nT, because=because, along=along)
     if along.chance_nT < along.found_nT and not along.too_much:
         words += say("verdict.along_allowed", most=along.allowed_nT)
     return words

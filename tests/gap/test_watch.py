@@ -206,7 +206,7 @@ def test_the_attitude_error_is_half_forgotten_after_its_half_life(
     seen: list[np.ndarray] = []
     monkeypatch.setattr(watch_kernels, "run_rows", lambda *given: seen.append(given[6]) or -1)
     noise = NoiseModel(20.0, 1e-3, 10.0 / np.log(2.0))
-    watch = Watch(MODEL, noise, False, Calibration(np.zeros((3, 3)), np.zeros(3)), np.eye(15))
+    watch = Watch(MODEL, noise, noise, False, Calibration(np.zeros((3, 3)), np.zeros(3)), np.eye(15))
     assert watch.take(record.select(np.array([0, 1, 3]))) is None
     assert seen[0] == pytest.approx([1.0, 0.5, 0.25])
 

@@ -316,7 +316,7 @@ def _attitude_would_do(problem: Problem, answer: Answer, dictionary: Dictionary)
     """
     if not problem.free_attitude_error or answer.known >= 0.5 or answer.result.named:
         return None
-    boundless = replace(answer.noise, theta_rad=1.0, tau_s=0.0)
+    boundless = replace(answer.noise, theta_rad=1.0, tau_s=0.0)  # beside it any other error in a reading is nothing
     whitener = whitener_of(problem, boundless, answer.robust.weights)
     if residual_structure(problem, whitener, answer.result.residual_nT, answer.fitted_nT, dictionary).structured:
         return None

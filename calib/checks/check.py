@@ -104,10 +104,13 @@ def check_telemetry(telemetry: Telemetry, model: FieldModel, *, onboard: Onboard
     held, telemetry = check_held(telemetry)
     clipped, beyond = check_clipped(telemetry)
     copied, again = check_copied(telemetry)
-    blanked = np.where((beyond | again)[:, None], np.nan, telemetry.mag_B_nT)
-    stuck, faulty = check_stuck(telemetry.replace(mag_B_nT=blanked, origin=telemetry.origin))
+    named, others = beyond | again, telemetry
+    if named.any():  # what stands still in them has its name
+        blanked = np.where(named[:, None], np.nan, telemetry.mag_B_nT)
+        others = telemetry.replace(mag_B_nT=blanked)
+    stuck, faulty = check_stuck(others)
     motion, away = check_motion(telemetry)
-    faulty = faulty | away | beyond | again
+    faulty = faulty | away | named
     findings = [*clipped, *copied, *stuck, *motion, *check_readings(telemetry)]
     if held:
         findings = [*held, *(finding for finding in findings if not finding.code.startswith("missing_"))]

@@ -225,13 +225,8 @@ def check_jump(sample: Sample, model: FieldModel, origin: Origin) -> list[Findin
 def _of_side(side: Sample, model: FieldModel, origin: Origin, tried: list[float]) -> dict[float, tuple[float, float]]:
     """Log evidence and misfit [nT] by shift, for the shifts that field model and elements reach."""
     fields = predictions(side, model, origin, tried)
-    stack = np.stack(list(fields.values()))
-    evidence: Evidence = (
-        scalar_evidence(side.seconds, side.mag_nT, np.linalg.norm(stack, axis=2))
-        if side.q_NB is None
-        else vector_evidence(side.seconds, side.mag_nT, stack)
-    )
-    return dict(zip(fields, zip(evidence.log.tolist(), evidence.misfit_nT.tolist(), strict=True), strict=True))
+    found = _evidence(side, list(fields.values()))
+    return dict(zip(fields, zip(found.log.tolist(), found.misfit_nT.tolist(), strict=True), strict=True))
 
 
 def epochs(sample: Sample, model: FieldModel) -> dict[float, FloatArray]:

@@ -33,7 +33,9 @@ def check_clipped(telemetry: Telemetry) -> tuple[list[Finding], BoolArray]:
         values = telemetry.mag_B_nT[:, axis]
         ends = {float(end): _at_end(values, float(end), telemetry.time) for end in _ends(values)}
         found = {end: rows for end, rows in ends.items() if rows.any()}
-        both: BoolArray = np.any([clipped & False, *found.values()], axis=0)
+        both: BoolArray = np.zeros(len(telemetry), dtype=bool)
+        for rows in found.values():
+            both |= rows
         count = len(runs(both, telemetry.time))
         if count > 1:  # once may be a hold
             words = " and ".join(f"{end:.10g} nT in {rows.sum()} rows" for end, rows in found.items())

@@ -222,7 +222,7 @@ def _along(fit: Fit, telemetry: Telemetry, field_nT: FloatArray, kept: BoolArray
     r, u, B = r[kept], u[kept], telemetry.mag_B_nT[fit.rows][kept]
     turned = u @ (np.eye(3) + fit.calibration.S)
     noise = float(np.sqrt(((turned**2) @ fit.noise.variance_nT2).mean()))
-    if fit.noise.covariance.any():  # the axes were told from the attitude; along the field it has no part
+    if fit.noise.covariance.any():  # that of each axis was found beside the attitude error, which is across the field
         noise = max(noise, white_nT(r, telemetry.time[fit.rows][kept]))
     square = _square_of_attitude_nT(fit, field_nT[kept])
     expected = float(np.hypot(noise, square))

@@ -27,8 +27,8 @@ BLOCKS = 5
 """The usual number of folds: a compromise between bias and variance (Hastie et al. 2009, section 7.10.1)."""
 DRAWS = 400
 """Of the bootstrap: its 5 % points are good to a tenth of the spread."""
-
-
+_DIFFUSE = 1e6
+"""Variance of a level of which nothing is known yet, over that of a reading."""
 _Fit = tuple[FloatArray, FloatArray]
 """A residual (N, 3), and what is fitted (N, 3, P), both in body axes [nT]."""
 
@@ -196,7 +196,7 @@ def one_step(
     2.2), from an unknown level; its second row is the first that is predicted. axes: where some components only are
     measured, in the rows' own axes.
     """
-    left, level, P = residual_nT.copy(), np.zeros(3), 1e6 * noise_nT**2 * np.eye(3)
+    left, level, P = residual_nT.copy(), np.zeros(3), _DIFFUSE * noise_nT**2 * np.eye(3)
     unsure = []
     for row, since in enumerate(np.diff(seconds, prepend=seconds[0])):
         P = P + rate**2 * since * np.eye(3)
@@ -207,7 +207,7 @@ def one_step(
             continue
         spread = H @ P @ H.T
         mean = float(np.trace(spread)) / len(H)
-        if mean < 1e3 * noise_nT**2:
+        if mean < np.sqrt(_DIFFUSE) * noise_nT**2:
             unsure.append(mean)
         gain = np.linalg.solve(spread + noise_nT**2 * np.eye(len(H)), H @ P).T
         level = level + gain @ left[row, measured]

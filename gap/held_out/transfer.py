@@ -43,6 +43,8 @@ from fluxtwin.sim.effects.chain import Active, Chain, jacobians
 from fluxtwin.sim.effects.drivers import STAND_INS
 from fluxtwin.sim.effects.signal import Motion, Setting
 
+_ABSORBED = 1e-9
+"""Whitened energy of an error that what is re-estimated absorbs: rounding."""
 DAYS = (0.5, 90.0, 182.0)
 """Half a day turns the ground below, a quarter and half a year the sun."""
 TUMBLE_DEG_S = (0.12, 0.08, 0.2)
@@ -282,7 +284,7 @@ def _one(
     """By the errors of the parameters, and by what else the effect may be: both as a diagnosis there would see them."""
     raw, white = design.projected(_errors(design, effect, theta, covariance))
     spread: FloatArray = np.asarray(np.linalg.eigvalsh(white.T @ white), dtype=np.float64)
-    seen = spread[spread > 1e-9]  # what is re-estimated absorbs the rest
+    seen = spread[spread > _ABSORBED]
     rank = max(seen.size, 1)
     rule = Rule(rank, tested, samples_of(design.whitener.measured))
     bar = rule.least_drop
@@ -299,7 +301,7 @@ def _one(
         energy += other.weight * own
         wrong_name = wrong_name or (other.label if added > MOST_CHANCE / 2 else "")
     unsure_nT = float(np.sqrt(unsure2))
-    detectable = unsure_nT * float(np.sqrt(rule.noncentrality / energy)) if energy > 1e-9 else None
+    detectable = unsure_nT * float(np.sqrt(rule.noncentrality / energy)) if energy > _ABSORBED else None
     why = f"it may as well be {wrong_name} in these data, and that would differ there"
     why = why if wrong_name else "the error of its parameters would show there"
     good = chance <= MOST_CHANCE

@@ -38,6 +38,7 @@ MOST_CHANGED = 0.3
 """Share of an image's energy that may change with the attitude's error."""
 SLOW_S = 300.0
 """Errors of the attitude last minutes."""
+_SEED = 12
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,7 +166,7 @@ class PerturbedDesign:
         self._latest: tuple[Effect, Sequence[Active], FloatArray] | None = None
         if not any(size > 0 for size, _ in parts) or not isinstance(motion, RecordedMotion):
             return
-        rng = np.random.default_rng(12)
+        rng = np.random.default_rng(_SEED)
         perturbed = motion.with_errors(
             lambda time: np.sum([gauss_markov(time, size, tau_s, rng, columns=3) for size, tau_s in parts], axis=0)
         )
@@ -222,7 +223,7 @@ def parts_of(sigma_rad: float) -> list[tuple[float, float]]:
 
 def _step(effect: Effect) -> FloatArray:
     """(p,) all parameters by their typical size, with signs that are drawn once."""
-    signs = np.random.default_rng(12).choice([-1.0, 1.0], len(effect.parameters))
+    signs = np.random.default_rng(_SEED).choice([-1.0, 1.0], len(effect.parameters))
     return np.asarray(signs * [parameter.scale for parameter in effect.parameters])
 
 

@@ -333,9 +333,10 @@ def _about(likelihood: Likelihood, best: Choice, hessian: FloatArray) -> list[Ch
     place, (low, high) = np.log([ratio, tau_s or 1.0])[:free], _range(likelihood, free)
     value, vector = np.linalg.eigh(-hessian)
     axes = vector / np.sqrt(np.maximum(value, _WIDE**-2))
-    steps = np.stack(np.meshgrid(*[1.5 * np.arange(-3, 4)] * free), axis=-1).reshape(-1, free)
+    lattice = 1.5 * np.arange(-3, 4)
+    steps = np.stack(np.meshgrid(*[lattice] * free), axis=-1).reshape(-1, free)
     reach = np.linalg.norm(steps, axis=1)
-    inside = steps[(reach > 0.0) & (reach <= 4.5)]
+    inside = steps[(reach > 0.0) & (reach <= lattice[-1])]
     points = np.exp(np.unique(np.clip(place + inside @ axes.T, low, high), axis=0))
     return [best, *(likelihood.at(float(at[0]), float(at[1]) if free == 2 else 0.0) for at in points)]
 

@@ -193,6 +193,7 @@ def _reason(best: Smallest | None) -> str | None:
     if best is None:
         return "on this orbit and attitude the re-estimated calibration can imitate it completely"
     one, size = best.parameter, best.value
+    # At a thousand times the typical size no flight would show it.
     if best.relative > 1000.0 or size > max(abs(one.low), abs(one.high)):
         return f"only {one.name} above {size:.3g} {one.unit} would show, which is beyond what is physical"
     return None

@@ -14,8 +14,9 @@ from fluxtwin.calib.checks.evidence import FLAT, slope_of_form
 from fluxtwin.calib.checks.report import Finding, note, trap
 from fluxtwin.calib.checks.sample import Sample
 from fluxtwin.calib.checks.stuck import fill_words, least_step
+from fluxtwin.calib.checks.values import GAP_STEPS
 from fluxtwin.calib.common.digits import plain
-from fluxtwin.sim.base.types import BoolArray, FloatArray
+from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
 from fluxtwin.sim.earth import epoch, frames
 from fluxtwin.sim.earth.field import FieldModel, field_N_nT
 from fluxtwin.sim.telemetry.record import Telemetry
@@ -56,13 +57,17 @@ def check_outliers(
     rows, left, field, jumps_nT = _left(telemetry, sample, model, usable)
     if rows.size < _FEWEST:
         return [], mask
-    deviation = _deviation(left)
-    ratio = _ratio(deviation, field, least_step(telemetry.mag_B_nT[rows]))
+    found = [_deviation(left[part]) for part in _stretches(telemetry.time[rows])]
+    deviation, inner = np.concatenate([one for one, _ in found]), np.concatenate([rest for _, rest in found])
+    ratio = _ratio(deviation, inner if inner.any() else ~inner, field, least_step(telemetry.mag_B_nT[rows]))
     if jumps_nT is None:
         ratio[_driven(telemetry, rows, 1 if sample is not None else _FURTHEST)] = 0.0
     else:  # a switch that was recorded some rows early or late makes a jump as large as its field
         ratio *= np.maximum(1.0 - jumps_nT / np.maximum(np.linalg.norm(deviation, axis=1), 1e-9), 0.0)
-    out = np.flatnonzero(ratio > STANDS_OUT)
+    out = np.flatnonzero(ratio > _limit(ratio))
+    tail = out.size == 0
+    if tail:
+        out = np.flatnonzero(ratio > STANDS_OUT)
     if out.size == 0:
         return [], mask
     runs = np.split(out, np.flatnonzero(np.diff(out) > 1) + 1)
@@ -73,12 +78,21 @@ def check_outliers(
         f"{_from_to(ratio[out])} times the scatter there"
     )
     fill = fill_words(telemetry.mag_B_nT[where], telemetry.origin)
-    if out.size > max(FEW * rows.size, 3) or max(map(len, runs)) > LONGEST_RUN:
+    if tail or out.size > max(FEW * rows.size, 3) or max(map(len, runs)) > LONGEST_RUN:
         blind = sample is None  # of |B| alone, how it curves from row to row may be all of that
         return [] if blind else [note("rough_readings", where, evidence=evidence, fill=fill)], mask
     mask[where] = True
     shown = ", ".join(epoch.iso(telemetry.time[row]) for row in where[:3]) + (", ..." if out.size > 3 else "")
     return [trap("outliers", where, evidence=evidence, shown=shown, fill=fill)], mask
+
+
+def _limit(ratio: FloatArray) -> float:
+    """Beyond it fewer rows lie than nearly reach it: those are the tail of one scatter, as a spin leaves one, and only what
+    lies beyond that is of another kind."""
+    limit = STANDS_OUT
+    while 0 < (beyond := np.count_nonzero(ratio > limit)) < np.count_nonzero(ratio > 0.75 * limit) - beyond:
+        limit /= 0.75
+    return limit
 
 
 def _from_to(values: FloatArray) -> str:
@@ -209,43 +223,58 @@ def _running_median(values: FloatArray) -> FloatArray:
     return np.asarray(median_filter(values, size=(_WINDOW, 1), mode="mirror"))
 
 
-def _deviation(left: FloatArray) -> FloatArray:
-    """(n, d) what is left, less its running median. In the first and last four rows, which have neighbours on one side
-    alone, less also what that median changes by over as many rows: of a slope, that of a mirrored window lags."""
-    course, half = _running_median(left), _WINDOW // 2
-    deviation = left - course
-    for ends, beside in ((slice(half), slice(half, 2 * half + 1)), (slice(-half, None), slice(-2 * half - 1, -half))):
-        beyond = np.abs(deviation[ends]) - np.ptp(course[beside], axis=0)
-        deviation[ends] = np.sign(deviation[ends]) * np.maximum(beyond, 0.0)
-    return deviation
+def _stretches(time: TimeArray) -> list[slice]:
+    """Rows without a gap between them; a running median knows no others."""
+    step = np.diff(time).astype("int64")
+    ends = [0, *(np.flatnonzero(step > GAP_STEPS * np.median(step)) + 1).tolist(), len(time)]
+    return [slice(*pair) for pair in itertools.pairwise(ends)]
 
 
-def _ratio(deviation: FloatArray, field_nT: FloatArray | None, least_step_nT: float) -> FloatArray:
-    """(n,) size of the deviations in robust standard deviations.
+def _deviation(left: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """(n, d) what is left, less its running median, and the rows (n,) where that has neighbours on both sides.
+
+    On a slope the median of a mirrored window lags by two steps in the first and the last row, by one in those next to them.
+    There, so many of the steepest steps nearby that do not lead to the row itself count as slope.
+    """
+    deviation, inner = left - _running_median(left), np.ones(len(left), dtype=bool)
+    if len(left) < _WINDOW:  # too few to tell which one is off
+        return np.zeros_like(deviation), ~inner
+    step = np.abs(np.diff(left, axis=0))
+    for row, lag in ((0, 2), (1, 1), (len(left) - 2, 1), (len(left) - 1, 2)):
+        near = np.arange(max(row - _WINDOW, 0), min(row + _WINDOW, len(step)))
+        slope = lag * step[near[(near != row) & (near != row - 1)]].max(axis=0)
+        deviation[row] = np.sign(deviation[row]) * np.maximum(np.abs(deviation[row]) - slope, 0.0)
+        inner[row] = False
+    return deviation, inner
+
+
+def _ratio(deviation: FloatArray, inner: BoolArray, field_nT: FloatArray | None, least_step_nT: float) -> FloatArray:
+    """(n,) size of the deviations in robust standard deviations, which are those of the inner rows.
 
     With the field (n, 3): along it, where only the reading errs, and across it, where attitude errors act in
     proportion to the field.
     """
     if field_nT is None:
-        return np.asarray(np.abs(deviation[:, 0]) / _scale(deviation[:, 0], 0.6745, least_step_nT))
+        return np.asarray(np.abs(deviation[:, 0]) / _scale(deviation[:, 0], inner, 0.6745, least_step_nT))
     size = np.linalg.norm(field_nT, axis=1)
     along = np.sum(deviation * field_nT, axis=1) / size
     across = np.sqrt(np.maximum(np.sum(deviation**2, axis=1) - along**2, 0.0))
-    plain, both = _scale(along, 0.6745, least_step_nT), _scale(across, 1.1774, least_step_nT)
+    plain, both = _scale(along, inner, 0.6745, least_step_nT), _scale(across, inner, 1.1774, least_step_nT)
     lever = (size / np.median(size)) ** 2
     both = np.sqrt(np.minimum(plain, both) ** 2 + np.maximum(both**2 - plain**2, 0.0) * lever)
     return np.asarray(np.maximum(np.abs(along) / plain, across / both))
 
 
-def _scale(deviation: FloatArray, median: float, least_step_nT: float) -> FloatArray:
+def _scale(deviation: FloatArray, inner: BoolArray, median: float, least_step_nT: float) -> FloatArray:
     """(n,) robust standard deviation of a few hundred rows around; no less than 0.7 of the record's.
 
     median: that of the absolute value where the standard deviation is one (0.6745 on one axis, 1.1774 on two).
     """
     size = np.abs(deviation) / median
-    blocks = np.array_split(size, max(1, len(size) // _BLOCK))
-    near = np.concatenate([np.full(len(block), np.median(block)) for block in blocks])
-    return np.asarray(np.maximum(np.maximum(near, 0.7 * np.median(size)), 0.4 * least_step_nT + 1e-6))
+    usual = float(np.median(size[inner]))
+    parts = np.array_split(np.arange(len(size)), max(1, len(size) // _BLOCK))
+    near = [np.full(len(part), np.median(size[part][inner[part]]) if inner[part].any() else usual) for part in parts]
+    return np.asarray(np.maximum(np.maximum(np.concatenate(near), 0.7 * usual), 0.4 * least_step_nT + 1e-6))
 
 
 def _driven(telemetry: Telemetry, rows: np.ndarray, beside: int) -> BoolArray:

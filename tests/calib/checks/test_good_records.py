@@ -9,13 +9,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.optimize import approx_fprime
+from worlds import scenario_text
 
-from fluxtwin.calib.checks.check import check_file
+from fluxtwin.calib.checks.check import check_file, check_telemetry
 from fluxtwin.calib.checks.evidence import scalar_evidence, slope_of_form
-from fluxtwin.calib.checks.outliers import _deviation
+from fluxtwin.calib.checks.outliers import STANDS_OUT, _deviation, _limit
 from fluxtwin.calib.checks.stuck import _stuck
 from fluxtwin.sim.base.random_streams import stream
 from fluxtwin.sim.earth.field import FieldModel, load_field
+from fluxtwin.sim.run.simulate import simulate
+from fluxtwin.sim.scenario.scenario import parse_scenario
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "benchmarks"))
 
@@ -95,12 +98,38 @@ def test_the_misfit_of_the_size_is_that_of_the_readings(S33: float) -> None:
 
 def test_a_slope_deviates_nowhere_and_a_reading_far_off_does_at_the_ends_too() -> None:
     slope = np.outer(np.arange(40.0), [60.0, -30.0, 5.0])
-    assert not _deviation(slope).any()
+    assert not _deviation(slope)[0].any()
     for row in (0, 3, 20, 39):
         wrong = slope.copy()
         wrong[row] += 30_000.0
-        away = np.linalg.norm(_deviation(wrong), axis=1)
+        away = np.linalg.norm(_deviation(wrong)[0], axis=1)
         assert np.argmax(away) == row and away[row] > 29_000.0
+
+
+def test_the_ends_of_passes_are_no_outliers_and_a_reading_far_off_is_one(model: FieldModel) -> None:
+    """Arcs of ten minutes, three hours apart: from one to the next the slow error of the attitude is another."""
+    text = scenario_text(
+        '[attitude]\nmode = "earth_pointing"\n[attitude.reference]\nsigma_deg = 0.3\ntau_s = 1500.0\n'
+        "[magnetometer]\nS = [[0.03, 0.0, 0.0], [0.0, -0.02, 0.0], [0.0, 0.0, 0.03]]\nnoise_nT = 3.0\n",
+        segment="samples = 7000, step_s = 10.0",
+    )
+    whole = simulate(parse_scenario(text))[0]
+    record = whole.select(np.flatnonzero(np.arange(7000) % 1000 < 60))
+    assert check_telemetry(record, model).traps == ()
+    wrong = np.array(record.mag_B_nT)
+    wrong[60] += 300.0  # the first row of the second arc
+    (found,) = check_telemetry(record.replace(mag_B_nT=wrong), model).traps
+    assert found.code == "outliers" and found.rows == (61,)
+
+
+def test_the_tail_of_one_scatter_is_no_outlier_and_a_reading_far_beyond_it_is() -> None:
+    """Of Student's t with four degrees of freedom, one row in 750 lies beyond 8, and as many again between 6 and 8."""
+    tail = np.abs(stream(3, "tail").standard_t(4.0, 20_000))
+    assert np.count_nonzero(tail > STANDS_OUT) > 10
+    beyond = _limit(tail)
+    assert np.count_nonzero(tail > beyond) <= 3
+    assert _limit(np.append(tail, 40.0 * tail.max())) < 40.0 * tail.max()
+    assert _limit(np.append(np.abs(stream(3, "core").normal(size=4000)), [9.0, 12.0])) == STANDS_OUT
 
 
 @pytest.mark.parametrize("attitude", [True, False])

@@ -97,10 +97,8 @@ def trend_table(found: Trend) -> Table:
 
     rows = []
     for one in found.histories:
-        what = {"constant": "", "drift": "a day", "temperature": "a degC", "step": f"after {one.after} of them"}[
-            one.kind
-        ]
-        size = "" if one.kind == "constant" else f"{measured(one.size, one.size_sigma)} {what}"
+        what = {"drift": "a day", "temperature": "a degC", "step": f"after {one.after} of them"}.get(one.kind)
+        size = "" if what is None else f"{measured(one.size, one.size_sigma)} {what}"
         mean, probability = measured(one.mean, one.mean_sigma), chance(one.probability)
         rows.append([one.name, mean, one.unit, f"{one.q:.1f}", probability, one.kind, size])
     freedom = len(found.time) - 1

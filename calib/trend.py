@@ -8,7 +8,9 @@ For K calibrations with parameters p_k and covariances C_k the weighted mean p a
 (K - 1) times as many degrees of freedom as there are parameters, if nothing changed and the sigmas are right. A parameter
 that changed is given the history that explains it best: a step between two calibrations, a line in time, a line in
 temperature. Each is one parameter more, tested by the drop of Q; a step pays for the K - 1 places that were tried, the
-histories for each other, and the parameters for being many (Holm 1979).
+histories for each other, and the parameters for being many (Holm 1979). Where the rest of Q is too large for chance, sigmas
+are those of the scatter about the history (Birge 1932), and so is the test: of a parameter that comes and goes, a line
+explains little. What changed without such a history is said to vary.
 """
 
 from __future__ import annotations
@@ -19,7 +21,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2, norm
+from scipy.stats import chi2, norm, t
 
 from fluxtwin.calib.common.conventions import offset_first_from_correction
 from fluxtwin.calib.common.coverage import RANK
@@ -55,14 +57,14 @@ class History:
     probability: float
     """Of a Q so large, if nothing changed."""
     kind: str
-    """`constant`, `step`, `drift` or `temperature`."""
+    """`constant`, `step`, `drift`, `temperature` or, where none of these describes the change, `varies`."""
     size: float
-    """Of the step, in the parameter's unit; of the drift, a day; with temperature, a degC. 0 for constant."""
+    """Of the step, in the parameter's unit; of the drift, a day; with temperature, a degC. Otherwise 0."""
     size_sigma: float
     after: int
     """Number of calibrations before the step; 0 for none."""
     explained: float
-    """Corrected probability of so large a drop of Q by chance; 1 for constant."""
+    """Corrected probability of so large a drop of Q by chance; 1 for constant and `varies`."""
 
     @property
     def unit(self) -> str:
@@ -141,6 +143,11 @@ class Trend(Shown):
         return (*said, *common)
 
     def _words(self, one: History) -> str:
+        if one.kind == "varies":
+            return (
+                f"{one.name} varies by more than its sigmas (probability {chance(one.probability)}), in no step and not in "
+                "proportion to time or temperature."
+            )
         unit = "" if one.unit == "1" else f" {one.unit}"
         size = measured(one.size, one.size_sigma)
         if one.kind == "step":
@@ -194,16 +201,18 @@ def trend(calibrations: Sequence[Calibration]) -> Trend:
     before, before_covariance, _ = _pooled(values[:-1], covariances[:-1])
     apart = values[-1] - before
     last_q = float(apart @ np.linalg.solve(covariances[-1] + before_covariance, apart))
-    histories = _histories(names, values, np.sqrt(np.einsum("kii->ki", covariances)), days, temperature)
-    first, last = (offset_first_from_correction(one.correction) for one in (known[0], known[-1]))
     dof = (len(known) - 1) * len(names)
+    probability = float(chi2.sf(q, dof))
+    sigmas = np.sqrt(np.einsum("kii->ki", covariances))
+    histories = _histories(names, values, sigmas, days, temperature, differ=probability < FALSE_ALARM)
+    first, last = (offset_first_from_correction(one.correction) for one in (known[0], known[-1]))
     return Trend(
         time=time,
         temperature_degC=temperature,
         histories=histories,
         q=q,
         degrees_of_freedom=dof,
-        probability=float(chi2.sf(q, dof)),
+        probability=probability,
         last_q=last_q,
         last_probability=float(chi2.sf(last_q, len(names))),
         moved=added_error(last, first),
@@ -287,8 +296,15 @@ def _pooled(values: FloatArray, covariances: FloatArray) -> tuple[FloatArray, Fl
 
 
 def _histories(
-    names: Sequence[str], values: FloatArray, sigmas: FloatArray, days: FloatArray, temperature: FloatArray | None
+    names: Sequence[str],
+    values: FloatArray,
+    sigmas: FloatArray,
+    days: FloatArray,
+    temperature: FloatArray | None,
+    *,
+    differ: bool,
 ) -> tuple[History, ...]:
+    """differ: whether all parameters together changed by more than their sigmas."""
     count = len(values)
     steps = [(np.arange(count) >= k).astype(np.float64) for k in range(1, count)]
     tried: list[tuple[str, FloatArray, int, int]] = [("step", step, k + 1, len(steps)) for k, step in enumerate(steps)]
@@ -309,8 +325,12 @@ def _histories(
             x = x - (w * x).sum() / w.sum()
             information = float((w * x**2).sum())
             size, error = float((w * x * p).sum()) / information, information**-0.5
+            left, dof = q - (size / error) ** 2, count - 2
+            steady = chi2.sf(left, dof) > FALSE_ALARM if dof else True
+            error *= 1.0 if steady else (left / dof) ** 0.5
             # its logarithm, as beyond 38 sigma the probability itself is 0 for all of them
-            log_chance = float(np.log(2.0 * places * kinds) + norm.logsf(abs(size / error)))
+            by_chance = norm.logsf(abs(size / error)) if steady else t.logsf(abs(size / error), dof)
+            log_chance = float(np.log(2.0 * places * kinds) + by_chance)
             if log_chance < least:
                 best, least = (kind, size, error, after), log_chance
         probability, explained = float(chi2.sf(q, count - 1)), float(np.exp(least))
@@ -321,8 +341,12 @@ def _histories(
         if one.explained * (len(found) - place) >= FALSE_ALARM:
             break
         kept.add(one.name)
-    nothing: dict[str, Any] = {"kind": "constant", "size": 0.0, "size_sigma": 0.0, "after": 0, "explained": 1.0}
-    return tuple(one if one.name in kept else replace(one, **nothing) for one in found)
+    nothing: dict[str, Any] = {"size": 0.0, "size_sigma": 0.0, "after": 0, "explained": 1.0}
+    varies = [one.name for one in found if differ and one.probability * len(found) < FALSE_ALARM]
+    return tuple(
+        one if one.name in kept else replace(one, kind="varies" if one.name in varies else "constant", **nothing)
+        for one in found
+    )
 
 
 def _expires(histories: Sequence[History], last: Calibration) -> np.datetime64 | None:

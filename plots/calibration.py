@@ -111,7 +111,7 @@ def draw_trend(time: TimeArray, courses: Mapping[str, tuple[FloatArray, FloatArr
     """A panel a parameter, three in a row; bars are 1 sigma. A line in colour where a parameter changed, grey where not.
 
     courses: by name with unit, (K,) values, their sigmas and what the parameter is taken to have done; and the kind of it:
-    constant, step, drift or temperature.
+    constant, step, drift, temperature or varies.
     """
     rows = -(-len(courses) // 3)
     figure, grid = style.figure(7.6, 0.8 + 1.5 * rows, rows=rows, cols=3, share_x=True)

@@ -107,6 +107,27 @@ def test_what_changed_is_named_and_sized(kind: str, name: str) -> None:
     assert hits >= 18
 
 
+def test_what_comes_and_goes_is_no_drift_and_has_no_date() -> None:
+    """A bias that follows ten days of a thermal period of nine: a line through it explains some of it."""
+    for seed in range(10):
+        moved = np.zeros((10, 12))
+        moved[:, 9] = 40.0 * np.sin(2.0 * np.pi * np.arange(10) / 9.0 + 0.3 * seed)
+        found = trend(made(seed, moved))
+        assert one(found, "b1").kind == "varies" and found.expires is None  # type: ignore[attr-defined]
+        assert any(line.startswith("b1 varies by more than its sigmas") for line in found.lines)
+        figure = trend_figure(found)
+        figure.clear()
+
+
+def test_a_drift_stays_one_where_its_sigmas_are_too_small() -> None:
+    moved = np.zeros((10, 12))
+    moved[:, 9] = 20.0 * np.arange(10) + 6.0 * np.random.default_rng(5).normal(size=10)
+    history = one(trend(made(5, moved)), "b1")
+    assert history.kind == "drift"  # type: ignore[attr-defined]
+    assert abs(history.size - 20.0 * SIGMA[9] / 7.0) < 3.0 * history.size_sigma  # type: ignore[attr-defined]
+    assert history.size_sigma > 0.05 * SIGMA[9] / 7.0 * 6.0  # type: ignore[attr-defined]
+
+
 def test_a_large_drift_is_no_step() -> None:
     """Far beyond 38 sigma, where probabilities are no longer numbers."""
     moved = np.zeros((6, 12))

@@ -151,7 +151,7 @@ class Scenario(SensorSections):
             if value is None:
                 node.pop(last, None)
             else:
-                node[last] = value
+                node[last] = value.tolist() if hasattr(value, "tolist") else value  # an array of numpy
         changed = validate(tree, Scenario, where="scenario")
         changed._folder = self._folder
         return changed

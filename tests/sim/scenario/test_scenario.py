@@ -165,6 +165,7 @@ def test_updated_changes_only_what_is_named():
     assert (
         changed.updated({"magnetometer.lsb_nT": None, "orbit.altitude_km": 650.0}).model_dump() == scenario.model_dump()
     )
+    assert scenario.updated({"magnetometer.b_nT": np.ones(3)}) == scenario.updated({"magnetometer.b_nT": [1.0] * 3})
     with pytest.raises(BadInput, match=r"unknown key magnetometer\.lsb"):
         scenario.updated({"magnetometer.lsb": 5.0})
 

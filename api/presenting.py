@@ -175,7 +175,8 @@ def _sizes(found: AttitudeSolution) -> str:
 def _draw_fit(axes: Axes, fit: Fit) -> Axes:
     aside = ~fit.kept
     title = f"Residuals of {fit.method}: {fit.statistics.component_rms_nT:.3g} nT rms"
-    return on_axes.components(axes, fit.time, fit.residuals_nT, y="residual [nT]", title=title, aside=aside)
+    residual_nT = calibration_page.reading_minus_model(fit)
+    return on_axes.components(axes, fit.time, residual_nT, y="residual [nT]", title=title, aside=aside)
 
 
 def _draw_diagnosis(axes: Axes, found: Diagnosis) -> Axes:

@@ -45,7 +45,7 @@ def test_a_fit_says_shows_and_draws_itself(flown: fluxtwin.Telemetry) -> None:
     assert fit.plot(axes) is axes
     assert axes.get_ylabel() == "residual [nT]" and "UTC" in axes.get_xlabel()
     drawn = np.concatenate([np.asarray(line.get_ydata()) for line in axes.get_lines()])
-    assert np.array_equal(np.sort(drawn), np.sort(fit.residuals_nT.ravel())), "every residual, once"
+    assert np.array_equal(np.sort(drawn), np.sort(-fit.residuals_nT.ravel())), "every residual once, as its page has it"
     plt.close("all")
 
 

@@ -260,6 +260,9 @@ def field(
 ) -> dict[str, Any]:
     """The field at one WGS 84 point: geodetic components and total [nT], declination and inclination [deg].
 
+    date: UTC. lat_deg: geodetic, north. lon_deg: east. alt_km: above the ellipsoid. field, degree: the model, and the
+    highest degree of it that is used.
+
     `declination_deg` is None where the horizontal field is zero. Raises BadInput for a place that does not
     exist and OutOfRange for an epoch outside the model.
 

@@ -66,7 +66,7 @@ def _seen(fit: Fit, record: Telemetry) -> list[PageSection]:
     reading = rows.mag_B_nT
     if fit.residuals_nT.shape[1] != 3:
         corrected, reading = (np.linalg.norm(field, axis=1, keepdims=True) for field in (corrected, reading))
-    predicted = corrected - _reading_minus_model(fit)
+    predicted = corrected - reading_minus_model(fit)
     before = reading - predicted
     aside = ~fit.kept
     words = "Measured: the readings as received. Predicted: the model field, rotated by the attitude if there is one."
@@ -85,7 +85,7 @@ def _seen(fit: Fit, record: Telemetry) -> list[PageSection]:
     ]
 
 
-def _reading_minus_model(fit: Fit) -> FloatArray:
+def reading_minus_model(fit: Fit) -> FloatArray:
     """(N, K) residuals with the sign of a diagnosis, so that they rise with a column as the field in the reading does."""
     return -fit.residuals_nT if fit.residuals_nT.shape[1] == 3 else fit.residuals_nT
 
@@ -98,7 +98,7 @@ def _followed(fit: Fit, record: Telemetry) -> list[PageSection]:
     """The residual against what it may follow."""
     from fluxtwin.evidence import driver_blocks
 
-    left = np.where(fit.kept[:, None], _reading_minus_model(fit), np.nan)
+    left = np.where(fit.kept[:, None], reading_minus_model(fit), np.nan)
     blocks = driver_blocks(record.select(fit.rows), {"residual": left})
     return [PageSection("What the residual follows", [], [], blocks)] if blocks else []
 
@@ -158,7 +158,7 @@ def residual_series(fit: Fit, before_nT: FloatArray | None = None) -> TimeSeries
     aside = ~fit.kept
     names = "xyz" if fit.residuals_nT.shape[1] == 3 else ("|B|",)
     title = "Residuals of the calibration" + (f"; {int(aside.sum())} rows set aside" if aside.any() else "")
-    return TimeSeries(title, fit.time, residual_panels(_reading_minus_model(fit), names, aside, before_nT=before_nT))
+    return TimeSeries(title, fit.time, residual_panels(reading_minus_model(fit), names, aside, before_nT=before_nT))
 
 
 def _coverage(fit: Fit) -> list[PageSection]:
@@ -227,7 +227,7 @@ def _angles(fit: Fit) -> Table:
 
 def _residuals(fit: Fit) -> Table:
     names = "xyz" if fit.residuals_nT.shape[1] == 3 else ["|B|"]
-    kept = _reading_minus_model(fit)[fit.kept]
+    kept = reading_minus_model(fit)[fit.kept]
     rows = [
         [name, plain(float(series.mean())), plain(float((series**2).mean() ** 0.5)), plain(float(abs(series).max()))]
         for name, series in zip(names, kept.T, strict=True)

@@ -36,8 +36,8 @@ from fluxtwin.sim.run.world import ephemeris, schedule_times
 from fluxtwin.sim.scenario.effect_sections import active_effects
 from fluxtwin.sim.scenario.scenario import Scenario
 from fluxtwin.sim.telemetry.record import Telemetry
-from fluxtwin.sim.telemetry.telemetry_files import Readable, Reading
-from fluxtwin.verbs import F, as_record, on_one_blas_thread, reading_of, with_keywords, with_reading
+from fluxtwin.sim.telemetry.telemetry_files import Readable, Reading, as_path
+from fluxtwin.verbs import F, as_record, number_in, on_one_blas_thread, reading_of, with_keywords, with_reading
 
 _MOST = {"noise_nT": 1e6, "lsb_nT": 1e6, "attitude_sigma_deg": 180.0, "attitude_tau_s": 1e9}
 """What may be declared of the errors: up to ten times the Earth's field, half a turn, thirty years; beyond, nothing is said
@@ -84,9 +84,8 @@ def declared_in(options: Mapping[str, Any]) -> Declared:
     declared = Declared(**options)
     for name, most in _MOST.items():
         value = getattr(declared, name)
-        if value is not None and not 0 <= value <= most:
-            where = f"--{name.replace('_', '-')}"
-            raise BadInput(f"{value:g}", where=where, wanted=f"a number from 0 to {most:g}")
+        if value is not None:
+            number_in(value, 0, most, f"--{name.replace('_', '-')}")
     return declared
 
 
@@ -174,7 +173,8 @@ def close(
 ) -> tuple[Diagnosis, Scenario | None]:
     """The diagnosis with its transfers, and the scenario with the named effects in it; None when nothing was named.
 
-    Without a scenario the new one replays the telemetry, with the noise that was declared.
+    telemetry: the path of the file that was diagnosed, and column_map that of its map. scenario: the one that the effects
+    are put into; without it the new one replays the telemetry, with the noise that was declared.
     """
     closure = diagnosis.closure
     if closure is None or closure.empty:
@@ -188,7 +188,7 @@ def close(
         found,
         transfers,
         base,
-        Path(telemetry),
+        as_path(telemetry, "telemetry", "the path of the file that was diagnosed"),
         None if column_map is None else Path(column_map),
         declared or Declared(),
     )

@@ -61,7 +61,8 @@ def as_onboard(onboard: Calibration | Path | str, magnetometer: int = 1) -> Onbo
 
     if isinstance(onboard, Path | str):
         return onboard_of(imported(onboard, magnetometer=magnetometer), Path(onboard).name)
-    return onboard_of(onboard, onboard.method or "calibration")
+    known = as_calibration(onboard)
+    return onboard_of(known, known.method or "calibration")
 
 
 def calibrate_undone(

@@ -35,8 +35,8 @@ from fluxtwin.sim.earth.field_models import load_field
 from fluxtwin.sim.telemetry.csv_files import without_comments
 from fluxtwin.sim.telemetry.record import Telemetry, concatenate
 from fluxtwin.sim.telemetry.selection import NoneTaken, selected, selection
-from fluxtwin.sim.telemetry.telemetry_files import Reading, is_path, read_telemetry
-from fluxtwin.verbs import as_calibration, on_one_blas_thread, reading_of, with_reading
+from fluxtwin.sim.telemetry.telemetry_files import Readable, Reading, is_path, read_telemetry
+from fluxtwin.verbs import as_calibration, as_record, on_one_blas_thread, reading_of, with_reading
 
 if TYPE_CHECKING:
     from fluxtwin.gap.records.diagnosis import Diagnosis
@@ -82,7 +82,7 @@ class Followed(Shown):
 @with_reading
 @with_assumed
 def follow(
-    telemetry: Path | str | Iterable[Telemetry],
+    telemetry: Readable | Iterable[Readable],
     *,
     calibration: Calibration | Path | str | None = None,
     modelled: Sequence[str] = DEFAULT_MODELLED,
@@ -92,8 +92,8 @@ def follow(
 ) -> Followed:
     """Watch rows as they come until something changes or the stream ends, and diagnose what was seen.
 
-    telemetry: a CSV that grows (followed until the alarm, or the first row at `end`), "-" for standard input, or records one
-    after the other.
+    telemetry: a CSV that grows (followed until the alarm, or the first row at `end`), "-" for standard input, a record, or
+    records one after the other.
     calibration: tested against the readings from the first row on; without it the first orbit gives S and b.
     modelled: as for `diagnose`. said: takes a line for each hour of telemetry.
 
@@ -109,7 +109,11 @@ def follow(
         if isinstance(telemetry, str | Path):
             blocks = opened.enter_context(contextlib.closing(_records(str(telemetry), reading)))
         else:
-            blocks = _taken(telemetry, reading.get("start"), reading.get("where"))
+            # A table of pandas or xarray would give the names of its columns one after the other.
+            records: Any = (
+                [telemetry] if hasattr(telemetry, "attrs") or not isinstance(telemetry, Iterable) else telemetry
+            )
+            blocks = _taken(records, reading.get("start"), reading.get("where"))
         rows = _Rows(_later(_until(blocks, end)))
         first, every = rows.to_begin_with()
         watch = begin(
@@ -191,11 +195,11 @@ class _Rows:
 
 
 def _taken(
-    records: Iterable[Telemetry], start: np.datetime64 | date | str | None, where: str | None
+    records: Iterable[Readable], start: np.datetime64 | date | str | None, where: str | None
 ) -> Iterator[Telemetry]:
     for record in records:
         with contextlib.suppress(NoneTaken):
-            yield selected(record, start, None, where)
+            yield selected(as_record(record), start, None, where)
 
 
 def _until(blocks: Iterator[Telemetry], end: np.datetime64 | None) -> Iterator[Telemetry]:

@@ -25,7 +25,7 @@ from fluxtwin.gap.planning.power import Flown
 from fluxtwin.gap.planning.questions import choose, shortened
 from fluxtwin.gap.problem.problem import ALIKE, DEFAULT_MODELLED, pose
 from fluxtwin.gap.records.diagnosis import Diagnosis, diagnosis_schema
-from fluxtwin.gap.records.plan import CalibrationPlan, Plan, Question, SigmaCourse
+from fluxtwin.gap.records.plan import CalibrationPlan, Course, Plan, Question, SigmaCourse
 from fluxtwin.notebook import usual
 from fluxtwin.scenarios.packaged import as_scenario
 from fluxtwin.sim.base.errors import BadInput, NoAnswer, names_in
@@ -169,16 +169,14 @@ def drawn(scenario: Scenario, fit: Fit, number: int) -> Scenario:
 
 def _sentence(worst: str, now: float, unit: str, courses: Sequence[SigmaCourse]) -> str:
     best, of = courses[0], "" if unit == "1" else f" {unit}"
-    flown = with_article(best.words)
-    wait = f", {best.wait_days:g} days from now" if best.wait_days else ""
     if best.sigma <= _NEARLY * HALF * now:
         return (
-            f"To halve the sigma of {worst}, now {now:.2g}{of}, fly {flown} for {best.hours:.2g} h{wait}. Calibrated "
+            f"To halve the sigma of {worst}, now {now:.2g}{of}, fly {manoeuvre(best)}. Calibrated "
             f"together with this record, it then falls to {best.sigma:.2g}{of}."
         )
     return (
-        f"No manoeuvre within the limits halves the sigma of {worst}, now {now:.2g}{of}. The best one, {flown} for "
-        f"{best.hours:.2g} h, lowers it to {best.sigma:.2g}{of}."
+        f"No manoeuvre within the limits halves the sigma of {worst}, now {now:.2g}{of}. The best one, {manoeuvre(best)}, "
+        f"lowers it to {best.sigma:.2g}{of}."
     )
 
 
@@ -266,15 +264,23 @@ def sentence(question: Question) -> str:
     if best is None:
         also = f" The catalogue suggests: {question.instead}." if question.instead else ""
         return f"No manoeuvre within the limits settles {question.words}.{also}"
-    wait = f", {best.wait_days:g} days from now" if best.wait_days else ""
-    sure = f"the answer will then be right with a probability of {percent(best.power)}"
-    return f"To settle {question.words}, fly {with_article(best.words)} for {best.hours:.2g} h{wait}; {sure}."
+    sure = f"right with a probability of {percent(best.power)}"
+    if not best.settles:
+        none = f"No manoeuvre within the limits settles {question.words}."
+        return f"{none} After the best, {manoeuvre(best)}, the answer will be {sure}."
+    return f"To settle {question.words}, fly {manoeuvre(best)}; the answer will then be {sure}."
 
 
-def with_article(manoeuvre: str) -> str:
+def manoeuvre(course: Course | SigmaCourse) -> str:
+    """A course as the object of a sentence, with its hours and when it begins."""
+    wait = f", {course.wait_days:g} days later" if course.wait_days else ""
+    return f"{with_article(course.words.removesuffix(wait))} for {course.hours:.2g} h{wait}"
+
+
+def with_article(words: str) -> str:
     """A manoeuvre as the object of a sentence: fly a tumble, fly yaw slews."""
-    article = {"spin": "a ", "tumble": "a ", "inertial": "an "}.get(manoeuvre.partition(" ")[0], "")
-    return f"{article}{manoeuvre}"
+    article = {"spin": "a ", "tumble": "a ", "inertial": "an "}.get(words.partition(" ")[0], "")
+    return f"{article}{words}"
 
 
 class View:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import html as html_
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -30,6 +30,7 @@ from fluxtwin.scenarios.page import StudyResult, Table, with_rows
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.run.ensemble.run import Ensemble
+from fluxtwin.sim.run.truth import Truth
 from fluxtwin.sim.telemetry.record import Telemetry
 from fluxtwin.trending import trend_table
 
@@ -64,6 +65,10 @@ def plot(result: object, axes: Axes | None = None) -> Axes:
         raise BadInput(f"there is nothing to draw in this {type(result).__name__}", where="plot")
     if axes is None:
         _, ((axes,),) = style.figure(style.FULL_WIDTH_IN, 3.0)
+    if not hasattr(axes, "plot"):
+        raise BadInput(
+            f"an object of type {type(axes).__name__} was given", where="axes", wanted="one Axes of matplotlib"
+        )
     drawn: Axes = _of(result, _PICTURES)(axes, result)
     return drawn
 
@@ -170,7 +175,8 @@ def _sizes(found: AttitudeSolution) -> str:
 def _draw_fit(axes: Axes, fit: Fit) -> Axes:
     aside = ~fit.kept
     title = f"Residuals of {fit.method}: {fit.statistics.component_rms_nT:.3g} nT rms"
-    return on_axes.components(axes, fit.time, fit.residuals_nT, y="residual [nT]", title=title, aside=aside)
+    residual_nT = calibration_page.reading_minus_model(fit)
+    return on_axes.components(axes, fit.time, residual_nT, y="residual [nT]", title=title, aside=aside)
 
 
 def _draw_diagnosis(axes: Axes, found: Diagnosis) -> Axes:
@@ -202,7 +208,16 @@ def _draw_record(axes: Axes, record: Telemetry) -> Axes:
 def _calibration(known: Calibration) -> Presented:
     span = [] if known.span is None else [f"Data of {' to '.join(epoch.iso(one, 's') for one in known.span)}."]
     method = [f"{known.method[0].upper()}{known.method[1:]}."] if known.method else []
-    return Presented([*method, *span, *known.unobservable], calibration_page.parameter_tables(known))
+    said = [*method, *span, *known.unobservable] or ["Stated, not estimated."]
+    return Presented(said, calibration_page.parameter_tables(known))
+
+
+def _truth(known: Truth) -> Presented:
+    first, last = (epoch.iso(one, "s") for one in known.time[[0, -1]])
+    rows = [(part.name, " x ".join(map(str, np.shape(getattr(known, part.name))))) for part in fields(known)[:-1]]
+    return Presented(
+        [f"The truth: {known.time.size} rows, {first} to {last}."], [Table("Arrays", ("name", "size"), rows)]
+    )
 
 
 def _export(made: Export) -> Presented:
@@ -241,6 +256,7 @@ _WORDS: dict[type, Callable[[Any], Presented]] = {
     Ensemble: lambda found: Presented([flying.ensemble_sentence(found)], [flying.ensemble_table(found)]),
     StudyResult: lambda found: Presented([found.status_line], found.tables),
     Telemetry: lambda record: _inventory(describing.of_record(record)),
+    Truth: _truth,
     describing.Inventory: _inventory,
 }
 _PICTURES: dict[type, Callable[[Axes, Any], Axes]] = {

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Iterator, Sequence
+from datetime import date
 from functools import wraps
+from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar, Unpack
 
@@ -40,6 +42,17 @@ def as_model(field: str | FieldModel, degree: int | None = None) -> FieldModel:
     if isinstance(field, str):
         return load_field(field, degree)
     return field if degree is None else field.truncated(degree)
+
+
+def number_in(value: Any, low: float, high: float, where: str) -> float:
+    """One number between the limits; raises BadInput for anything else."""
+    wanted = f"a number from {low:g} to {high:g}"
+    if not isinstance(value, Real):
+        raise BadInput(f"{value!r} is not one number", where=where, wanted=wanted)
+    number = float(value)
+    if not low <= number <= high:
+        raise BadInput(f"{number:g} is out of range", where=where, wanted=wanted)
+    return number
 
 
 def as_record(telemetry: Readable, **reading: Unpack[Reading]) -> Telemetry:
@@ -237,7 +250,7 @@ def attitude(
 
 
 def field(
-    date: str | np.datetime64,
+    date: str | date | np.datetime64,
     lat_deg: float,
     lon_deg: float,
     alt_km: float = 0.0,
@@ -246,6 +259,9 @@ def field(
     degree: int | None = None,
 ) -> dict[str, Any]:
     """The field at one WGS 84 point: geodetic components and total [nT], declination and inclination [deg].
+
+    date: UTC. lat_deg: geodetic, north. lon_deg: east. alt_km: above the ellipsoid. field, degree: the model, and the
+    highest degree of it that is used.
 
     `declination_deg` is None where the horizontal field is zero. Raises BadInput for a place that does not
     exist and OutOfRange for an epoch outside the model.
@@ -259,9 +275,10 @@ def field(
         ("lon", lon_deg, -180, 360),
         ("alt-km", alt_km, -100, 1e6),
     ):
-        if not low <= value <= high:
-            raise BadInput(f"{value:g} is out of range", where=f"--{name}", wanted=f"{low:g} to {high:g}")
-    time = epoch.parse_time(date, where="--date") if isinstance(date, str) else date
+        number_in(value, low, high, f"--{name}")
+    from fluxtwin.sim.telemetry.selection import instant
+
+    time = instant(date, "--date")
     model = as_model(field, degree)
     latitude, longitude = np.radians([lat_deg]), np.radians([lon_deg])
     r_E_km = frames.from_geodetic(latitude, longitude, np.array([alt_km]))
@@ -310,8 +327,8 @@ def yaw(
     from fluxtwin.calib.attitude.yaw import yaw_from_field
 
     for name, value in (("--sigma-nT", sigma_B_nT), ("--attitude-sigma-deg", attitude_sigma_deg)):
-        if value is not None and not 0 <= value < np.inf:
-            raise BadInput(f"{value:g}", where=name, wanted="zero or a positive number")
+        if value is not None:
+            number_in(value, 0, 1e6, name)
     record = as_record(telemetry, **reading)
     given = None if calibration is None else as_calibration(calibration)
     known = calibration_of(record, given, force=force)

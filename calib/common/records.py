@@ -112,8 +112,8 @@ class Calibration(Shown):
     onboard: Onboard | None = None
     """What had been applied on board to the readings that were calibrated, and was undone: S, b and T act on the sensor's
     own. `calib.common.onboard` composes the two."""
-    version: str = ""
-    """Version of fluxtwin that made it."""
+    version: str = field(default="", compare=False)
+    """Version of fluxtwin that made it; a file states it, and is none the less equal to what was written."""
 
     def __post_init__(self) -> None:
         size = len(self.names)
@@ -168,9 +168,13 @@ class Calibration(Shown):
 
         mag_B_nT, dipole_B_Am2: (N, 3), body. columns: (N,) columns of telemetry by name, as `columns_of` returns
         them. Rows with missing numbers stay missing.
-        Raises BadInput when T is known but no dipole is given, or a column that the reading follows is missing.
+        Raises BadInput for readings of another shape, when T is known but no dipole is given, or when a column that the
+        reading follows is missing.
         """
-        reading = self._without_telemetry_bias(np.asarray(mag_B_nT, dtype=np.float64), columns or {})
+        given = np.asarray(mag_B_nT, dtype=np.float64)
+        if given.shape[-1:] != (3,):
+            raise BadInput(f"has shape {given.shape}", where="mag_B_nT", wanted="shape (N, 3)")
+        reading = self._without_telemetry_bias(given, columns or {})
         true = reading + reading @ self.S.T + self.b_nT
         if self.T_nT_per_Am2 is None or not self.T_nT_per_Am2.any():
             return true

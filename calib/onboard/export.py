@@ -108,9 +108,9 @@ class Export(Shown):
 
 def find_target(name: str) -> Target:
     """The target of that name. Raises BadInput for none."""
-    if name in TARGETS:
+    if isinstance(name, str) and name in TARGETS:
         return TARGETS[name]
-    if name.partition(":")[0] == cubeadcs.CubeAdcs.name:
+    if isinstance(name, str) and name.partition(":")[0] == cubeadcs.CubeAdcs.name:
         return cubeadcs.stated(name)
     raise BadInput(f"{name!r} is no target", where="--to", wanted=" or ".join(NAMES))
 

@@ -459,8 +459,8 @@ class Diagnosis(Record, Shown):
     notes: Annotated[Sequence[str], Inner] = ()
     """What the reader must know of the record: rows that are not in it, inputs that look wrong. In the JSON a part of the
     provenance."""
-    series: Annotated[GapSeries | None, Kept, Inner] = None
-    closure: Annotated[Closure | None, Kept, Inner] = None
+    series: Annotated[GapSeries | None, Kept, Inner] = field(default=None, compare=False)
+    closure: Annotated[Closure | None, Kept, Inner] = field(default=None, compare=False)
     scores: Annotated[tuple[Sequence[Score], Sequence[Score]], Kept, Inner] = ((), ())
     """What the readings say of every effect of the catalogue, and of the others beside the named ones; for fleets."""
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 
 from fluxtwin.sim.base.netcdf_out import TRUTH_TITLE, Variable, write_netcdf
+from fluxtwin.sim.base.shown import Shown
 from fluxtwin.sim.base.types import FloatArray, TimeArray
 
 _UNITS = (
@@ -22,7 +23,7 @@ _PACKING = {"compression": "gzip", "compression_opts": 4, "shuffle": True, "flet
 
 
 @dataclass(frozen=True)
-class Truth:
+class Truth(Shown):
     """The true history behind a simulated record; rows as in the telemetry."""
 
     time: TimeArray

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, Self, cast
 
 import tomli_w
 from pydantic import Field, PrivateAttr, model_validator
 
 from fluxtwin.sim.base import files
+from fluxtwin.sim.base.errors import BadInput, nearest
 from fluxtwin.sim.base.toml_input import parse_tree, read_tree, validate
 from fluxtwin.sim.scenario import draws as scenario_draws
 from fluxtwin.sim.scenario import sections as sections
@@ -145,16 +146,24 @@ class Scenario(SensorSections):
         tree = self.model_dump(exclude_none=True, exclude_defaults=True)
         for dotted, value in changes.items():
             *path, last = dotted.split(".")
-            node = tree
+            node, section = tree, cast(Any, self)
             for part in path:
                 node = node.setdefault(part, {})
+                section = getattr(section, part, None)
+            # Of other keys the check below complains; one that is taken out would only stay.
+            known = getattr(type(section), "model_fields", None)
+            if value is None and known is not None and last not in known:
+                raise BadInput(f"unknown key {dotted}{nearest(last, known)}", where="scenario")
             if value is None:
                 node.pop(last, None)
             else:
-                node[last] = value
+                node[last] = value.tolist() if hasattr(value, "tolist") else value  # an array of numpy
         changed = validate(tree, Scenario, where="scenario")
         changed._folder = self._folder
         return changed
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Scenario) and self.model_dump() == other.model_dump()  # wherever it was read from
 
     def path_of(self, name: str) -> Path:
         """A file named in the scenario, relative to the scenario's own folder."""

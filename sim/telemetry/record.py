@@ -226,6 +226,9 @@ class Telemetry(Shown):
         ends = (rows.start, rows.stop) if isinstance(rows, slice) else ()
         if any(isinstance(one, str | date | np.datetime64) for one in ends):
             return self.between(*ends)
+        if isinstance(rows, str):
+            wanted = "a mask, indices or times as record['2026-03-01':'2026-03-02']; columns are in record.to_pandas()"
+            raise BadInput(f"{rows!r} chooses no rows", where="record", wanted=wanted)
         return self.select(rows if isinstance(rows, slice) else np.atleast_1d(rows))
 
     __iter__ = None  # rows are no records

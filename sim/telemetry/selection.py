@@ -118,7 +118,8 @@ def selection(
 
     Raises BadInput for text that is no time or no condition, and where nothing can lie between start and end.
     """
-    begin, until = _instant(start, "--from"), _instant(end, "--to")
+    begin = None if start is None else instant(start, "--from")
+    until = None if end is None else instant(end, "--to")
     if begin is not None and until is not None and until <= begin:
         raise BadInput("is not after --from", where=f"--to {epoch.iso(until)}", wanted="a later time")
     return Selection(begin, until, None if where is None else condition(where))
@@ -195,15 +196,17 @@ def _number(text: str, side: ast.expr) -> float | None:
     return float(said.replace(" ", "")) if _NUMBER.fullmatch(said) else None
 
 
-def _instant(given: np.datetime64 | date | str | None, where: str) -> np.datetime64 | None:
+def instant(given: np.datetime64 | date | str, where: str) -> np.datetime64:
+    """One instant in UTC; what has a zone is taken to UTC. Raises BadInput for what is no time."""
     if isinstance(given, datetime):  # a Timestamp of pandas is one
         given = (given if given.tzinfo is None else given.astimezone(UTC).replace(tzinfo=None)).isoformat()
     if isinstance(given, date):
         given = given.isoformat()  # its midnight
     if isinstance(given, str):
         return epoch.parse_time(given, where=where)
-    if given is None or isinstance(given, np.datetime64):
-        return None if given is None else given.astype("datetime64[ns]")
+    if isinstance(given, np.datetime64):
+        moment: np.datetime64 = given.astype("datetime64[ns]")
+        return moment
     raise BadInput(
         f"{clip(repr(given))} is no time", where=where, wanted="ISO 8601 text, a date, a datetime or a datetime64"
     )

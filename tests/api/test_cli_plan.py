@@ -86,6 +86,14 @@ def test_what_would_not_have_shown_is_asked_too_and_json_gives_the_same_plan(
     assert shown["sun_sensor_head_misalignment"].best is None and shown["sun_sensor_head_misalignment"].instead
 
 
+def test_a_manoeuvre_that_settles_nothing_is_not_said_to(diagnosis: Diagnosis) -> None:
+    plan = fluxtwin.plan(diagnosis, limits={"hours": 0.5, "attitudes": ["nadir"]}, names=["hysteresis"])
+    best = plan.questions[0].best
+    assert best is not None and not best.settles
+    assert plan.sentence.startswith("No manoeuvre within the limits settles whether hysteresis is present")
+    assert "After the best, nadir pointing for 0.5 h, 90 days later, the answer will be right with" in plan.sentence
+
+
 def test_limits_that_leave_nothing_and_other_mistakes(folder: Path, diagnosis: Diagnosis, cli: Cli) -> None:
     wrong = folder / "wrong.toml"
     wrong.write_text("[limits]\nhours = 1.0\nmax_rate = 3.0\n", encoding="utf-8")

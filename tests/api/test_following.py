@@ -92,6 +92,8 @@ def test_records_from_python_are_the_same_to_the_bit_in_any_pieces(record: Telem
     assert one.changed is None and one.line == said[-2] and "still holds" in one.line
     assert one.diagnosis.to_dict() == other.diagnosis.to_dict()
     assert one.diagnosis.to_dict() == fluxtwin.diagnose(record, attitude_sigma_deg=0.05).to_dict()
+    assert fluxtwin.follow(record, attitude_sigma_deg=0.05) == one
+    assert fluxtwin.follow(record.to_pandas(), attitude_sigma_deg=0.05).line == one.line
     assert "in all three components" in said[0]
     assert one.line in one.report() and one.diagnosis.sentence in one.report() and "<table" in one._repr_html_()
     assert one.plot().get_title(loc="left").startswith("Where the gap lies")

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import html
+import pickle
 import re
 import sys
 from pathlib import Path
@@ -43,7 +45,7 @@ def test_a_fit_says_shows_and_draws_itself(flown: fluxtwin.Telemetry) -> None:
     assert fit.plot(axes) is axes
     assert axes.get_ylabel() == "residual [nT]" and "UTC" in axes.get_xlabel()
     drawn = np.concatenate([np.asarray(line.get_ydata()) for line in axes.get_lines()])
-    assert np.array_equal(np.sort(drawn), np.sort(fit.residuals_nT.ravel())), "every residual, once"
+    assert np.array_equal(np.sort(drawn), np.sort(-fit.residuals_nT.ravel())), "every residual once, as its page has it"
     plt.close("all")
 
 
@@ -100,6 +102,33 @@ def test_what_is_exported_and_an_ensemble_show_themselves(flown: fluxtwin.Teleme
     assert many.envelope is not None
     drawn = [line.get_ydata() for line in many.plot().get_lines()[::2]]
     assert np.array_equal(drawn, [many.envelope.median_deg, many.envelope.p95_deg, many.envelope.max_deg])
+    plt.close("all")
+
+
+def test_results_are_compared_by_value(flown: fluxtwin.Telemetry, tmp_path: Path) -> None:
+    """Also where a dataclass would ask an array for its truth."""
+    fit = fluxtwin.calibrate(flown)
+    known = fit.calibration
+    again = fluxtwin.Calibration.from_toml(known.to_toml(tmp_path / "c.toml"))
+    assert known == again and known in [None, again] and known != fluxtwin.Calibration(known.S, known.b_nT)
+    assert fit == pickle.loads(pickle.dumps(fit)) and fit != known
+    for found in (flown, fluxtwin.diagnose(flown), fluxtwin.yaw(flown, known), fluxtwin.info(flown)):
+        assert found == copy.deepcopy(found)
+    assert flown != flown[1:] and flown != flown.replace(mag_B_nT=flown.mag_B_nT + 1.0) and flown != 3
+
+
+def test_the_truth_and_a_bare_calibration_show_themselves() -> None:
+    flown = fluxtwin.simulate("cubesat")
+    assert len(repr(flown)) < 300, "a cell that ends with both shows no arrays"
+    _, truth = flown
+    assert "1801 rows" in truth.report() and "1801 x 3" in words(truth._repr_html_())
+    assert repr(fluxtwin.Calibration(np.zeros((3, 3)), np.ones(3))) == "<Calibration: Stated, not estimated.>"
+
+
+def test_a_picture_wants_one_axes(flown: fluxtwin.Telemetry) -> None:
+    _, several = plt.subplots(2)
+    with pytest.raises(fluxtwin.BadInput, match="Wanted: one Axes of matplotlib"):
+        flown.plot(several)
     plt.close("all")
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 from worlds import scenario_text
@@ -111,6 +112,24 @@ def test_an_unguarded_script_flies_an_ensemble_in_processes(tmp_path: Path) -> N
             "is no choice of parameters. Wanted: b or b,S",
         ),
         (lambda record, fit: fluxtwin.simulate({"seed": 1}), "Wanted: the path of a scenario as TOML, or cubesat"),
+        (lambda record, fit: fluxtwin.field("2026-03-01", [52.0, 53.0], 4.0), "[52.0, 53.0] is not one number"),
+        (lambda record, fit: fluxtwin.field("2026-03-01", 52.0, "4E"), "'4E' is not one number"),
+        (lambda record, fit: fluxtwin.field(2026.2, 52.0, 4.0), "2026.2 is no time"),
+        (lambda record, fit: fluxtwin.field("2026-03-01", 52.0, 4.0, degree=8.5), "degree 8.5 is not in"),
+        (lambda record, fit: fluxtwin.yaw(record, fit.calibration, sigma_B_nT="5"), "'5' is not one number"),
+        (lambda record, fit: fluxtwin.diagnose(record, noise_nT=[20.0] * 3), "[20.0, 20.0, 20.0] is not one number"),
+        (lambda record, fit: fluxtwin.diagnose(record, attitude_sigma_deg="0.1"), "'0.1' is not one number"),
+        (
+            lambda record, fit: fluxtwin.repair(record.to_pandas(), "r.csv"),
+            "an object of type pandas DataFrame was given",
+        ),
+        (lambda record, fit: fluxtwin.export("px4", fit.calibration), "is no target"),
+        (lambda record, fit: fluxtwin.fleet([record] * 3), "Wanted: a dict of records by the name of the vehicle"),
+        (lambda record, fit: fluxtwin.calibrate(record, attitude_sigma_deg="0.1"), "attitude_sigma_deg: '0.1'"),
+        (lambda record, fit: fluxtwin.check(record, onboard=fit), "Wanted: the `.calibration` of a fit"),
+        (lambda record, fit: record["mag_x_nT"], "columns are in record.to_pandas()"),
+        (lambda record, fit: fluxtwin.follow(3), "an object of type int was given"),
+        (lambda record, fit: fit.calibration.apply(record.mag_B_nT.T), "has shape (3, 1801). Wanted: shape (N, 3)"),
     ],
 )
 def test_an_object_of_another_kind_is_refused_in_words(call: Any, wanted: str) -> None:
@@ -119,3 +138,22 @@ def test_an_object_of_another_kind_is_refused_in_words(call: Any, wanted: str) -
     with pytest.raises(fluxtwin.BadInput) as refused:
         call(record, fit)
     assert wanted in str(refused.value)
+
+
+def test_an_effect_is_not_closed_on_a_record_in_memory(tmp_path: Path) -> None:
+    sections = MAGNETOMETER + "[effects.bias_step]\nb_nT = [400.0, 300.0, 300.0]\n"
+    (tmp_path / "s.toml").write_text(scenario_text(sections, segment="samples = 600, step_s = 10.0"), encoding="utf-8")
+    record, _ = fluxtwin.simulate(tmp_path / "s.toml")
+    found = fluxtwin.diagnose(record, noise_nT=20.0, attitude_sigma_deg=0.1)
+    with pytest.raises(fluxtwin.BadInput, match="Wanted: the path of the file that was diagnosed"):
+        fluxtwin.close(found, scenario=None, telemetry=record)
+
+
+@pytest.mark.parametrize("zone", ["UTC", "Europe/Amsterdam", None])
+def test_the_field_at_a_time_of_pandas(zone: str | None) -> None:
+    when = pd.Timestamp("2026-03-01T12:00", tz="UTC").tz_convert(zone)
+    assert fluxtwin.field(when, 52.0, 4.0) == fluxtwin.field("2026-03-01T12:00:00Z", 52.0, 4.0)
+
+
+def test_help_says_what_a_scenario_may_be() -> None:
+    assert str(inspect.signature(fluxtwin.simulate).parameters["scenario"].annotation) == "Scenario | Path | str"

@@ -46,10 +46,12 @@ def test_all_notebooks_are_run() -> None:
 
 
 def test_first_calibration(capsys: pytest.CaptureFixture[str]) -> None:
-    names, shown = run("first_calibration")
+    with pytest.warns(UserWarning, match="of another time"):
+        names, shown = run("first_calibration")
     assert names["fit"].verdict.level == "good"
     sigma_nT = np.sqrt(np.diag(names["fit"].calibration.covariance))[9:12]
     assert len(shown) >= 5
+    assert names["later"].time[0] - names["record"].time[0] == np.timedelta64(1, "D"), "the next day"
     assert (
         np.abs(names["b_nT"] - names["true_nT"]) < 4 * sigma_nT
     ).all()  # of three Gaussian numbers once in 5,000 more

@@ -105,7 +105,10 @@ def of_xarray(dataset: Any, where: str = "Dataset") -> Table:
     for key, one in coordinates.items():
         if one.dims[:1] != (along,) or one.ndim > 2 or one.dtype.kind not in "iufbM":
             continue
-        value = np.asarray(one.values)
+        if getattr(one.dtype, "tz", None) is None:
+            value = np.asarray(one.values)
+        else:  # stamps with a zone: the values of xarray are bare counts
+            value = one.to_index().tz_convert("UTC").tz_localize(None).to_numpy()
         columns["time" if key == name else key] = in_ns(value, key, where) if value.dtype.kind == "M" else value
         unit = str(one.attrs.get("units", ""))
         if unit:

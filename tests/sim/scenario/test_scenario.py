@@ -25,6 +25,7 @@ INERT = {"spacecraft.inertia_kg_m2": [[0.05, 0.0, 0.0], [0.0, 0.06, 0.0], [0.0, 
 def test_a_saved_scenario_repeats_the_run_bit_for_bit(tmp_path):
     scenario = mission.scenario().updated({"seed": 11})
     again = load_scenario(save_scenario(scenario, tmp_path / "scenario.toml"))
+    assert again == scenario != scenario.updated({"seed": 12}), "wherever its file lies"
     first, second = simulate(scenario)[0], simulate(again)[0]
     assert np.array_equal(first.mag_B_nT, second.mag_B_nT)
     assert np.array_equal(first.q_NB, second.q_NB)
@@ -165,8 +166,12 @@ def test_updated_changes_only_what_is_named():
     assert (
         changed.updated({"magnetometer.lsb_nT": None, "orbit.altitude_km": 650.0}).model_dump() == scenario.model_dump()
     )
+    assert scenario.updated({"magnetometer.b_nT": np.ones(3)}) == scenario.updated({"magnetometer.b_nT": [1.0] * 3})
     with pytest.raises(BadInput, match=r"unknown key magnetometer\.lsb"):
         scenario.updated({"magnetometer.lsb": 5.0})
+    for key, near in (("torquer", "torquers"), ("magnetometer.noise_nt", "noise_nT")):
+        with pytest.raises(BadInput, match=rf"unknown key {key}; did you mean {near}"):
+            scenario.updated({key: None})
 
 
 def test_units_are_exclusive_and_convert():

@@ -379,6 +379,11 @@ def test_stamps_without_a_zone_are_noticed(record: fluxtwin.Telemetry) -> None:
     same(bare, record)
 
 
+@pytest.mark.parametrize("zone", ["UTC", "Europe/Amsterdam"])
+def test_a_dataset_of_a_frame_keeps_its_instants(record: fluxtwin.Telemetry, zone: str) -> None:
+    assert (fluxtwin.read(record.to_pandas().tz_convert(zone).to_xarray()).time == record.time).all()
+
+
 def test_segments_of_two_objects_are_refused(tmp_path: Path) -> None:
     more = OEM[OEM.index("META_START") :].replace("1996", "1997").replace("OBJECT_ID = ", "OBJECT_ID = X")
     (tmp_path / "o.oem").write_text(OEM + "\n" + more, encoding="utf-8")

@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cache, cached_property
 from itertools import pairwise
+from math import factorial
 from typing import Any
 
 import numpy as np
@@ -37,7 +38,9 @@ _AS_GOOD = 1.01  # of the smallest prediction error: among such fits the one tha
 _WILD = 100.0  # times the median: a single wrong attitude counts no more
 _FURTHEST = 1.0  # rad from one attitude to the next: less than half a turn is one also with a wobble twice as fast
 _ASTRAY = 0.1  # rad, rms: a gyro that misses the attitudes by more is none to go by
-_PARTS = 6  # of the way to the next stamp: 0.4 rad each where a spinner turns by 130 deg
+_PARTS = (
+    6  # of the way to the next stamp, 0.4 rad each where a spinner turns by 130 deg; at most so many further on, too
+)
 _TELLS = (
     0.2  # between the correlations that white and slow errors leave: 6 sigma of 900 pairs, 3 from either to the middle
 )
@@ -92,7 +95,14 @@ class _Course:
         """(n, 3) rotation vector in body axes from stamps `here` by `after_s` (n,)."""
         if self.between is None:
             return np.asarray(self.rate_B_rad_s[here] * after_s[:, None])
-        return -_turned(self.between, self.time_s[here], after_s).as_rotvec()
+        way = np.max(np.abs(after_s), initial=0.0) / self.step_s
+        parts = int(np.clip(np.ceil(_PARTS * way), 1, _PARTS))
+        return -_turned(self.between, self.time_s[here], after_s, parts).as_rotvec()
+
+    @cached_property
+    def step_s(self) -> float:
+        """The usual one from stamp to stamp."""
+        return float(np.median(np.diff(self.time_s))) if self.time_s.size > 1 else 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,7 +192,7 @@ class AttitudeTrack:
         after = np.broadcast_to(np.asarray(offset_s, dtype=np.float64), rows.shape)
         to = np.clip(rows + np.sign(after).astype(np.intp), 0, self.time_s.size - 1)
         to = np.where(self.stretch[to] == self.stretch[rows], to, rows)
-        here = Rotation.from_quat(self._about(rows, np.zeros(rows.size), rows)).inv()
+        here = self._from_fit[rows]
         own = frames.product(Rotation.from_quat(self._about(rows, after, to)), here)
         reach_s = self._reach_s[rows]
         beyond = np.clip(2.0 * np.abs(after) / np.where(reach_s > 0, reach_s, np.inf) - 1.0, 0.0, 1.0)
@@ -209,6 +219,12 @@ class AttitudeTrack:
             self.course.onward(row, after_s),
             self._q_BN[row],
         )
+
+    @cached_property
+    def _from_fit(self) -> Rotation:
+        """(N,) from the fit about each stamp, at that stamp."""
+        rows = np.arange(self.time_s.size, dtype=np.intp)
+        return Rotation.from_quat(self._about(rows, np.zeros(rows.size), rows)).inv()
 
     @cached_property
     def _q_BN(self) -> FloatArray:
@@ -276,24 +292,27 @@ def _steady_rate(time_s: FloatArray, R_BN: Rotation, stretch: RowArray) -> Float
 
 def _by_gyro(time_s: FloatArray, rate_B_rad_s: FloatArray, stretch: RowArray) -> _Course:
     """The course by gyro: a spline through its rates, for a wobble that turns far from one stamp to the next."""
-    from scipy.interpolate import make_interp_spline  # here: it takes a fifth of a second to load
+    from scipy.interpolate import PPoly, make_interp_spline  # here: it takes a fifth of a second to load
 
     ends = np.flatnonzero(np.diff(stretch, prepend=-1, append=stretch[-1] + 1))
-    splines: list[Any] = [
-        make_interp_spline(time_s[low:high], rate_B_rad_s[low:high], k=min(5, int(high) - int(low) - 1))
-        for low, high in pairwise(ends)
-    ]
-    starts_s = time_s[ends[1:-1]]
+    degree = min(5, int(np.diff(ends).max()) - 1)
+    breaks_s, pieces = [], []  # of all stretches one after the other, constant from each end to the next start
+    for low, high in pairwise(ends.tolist()):
+        k = min(degree, high - low - 1)
+        spline = make_interp_spline(time_s[low:high], rate_B_rad_s[low:high], k=k)
+        breaks_s.append(np.unique(spline.t) if k else time_s[low:high])
+        pieces.append(np.zeros((degree + 1, breaks_s[-1].size, 3)))
+        for power in range(k + 1):
+            pieces[-1][degree - power, :-1] = spline(breaks_s[-1][:-1], nu=power) / factorial(power)
+        pieces[-1][-1, -1] = rate_B_rad_s[high - 1]
+    rates: Any = PPoly(np.concatenate(pieces, axis=1), np.concatenate([*breaks_s, time_s[-1:] + 1.0]))
+    starts_s, ends_s = time_s[ends[:-1]], time_s[ends[1:] - 1]
 
     def between(moments_s: FloatArray) -> FloatArray:
-        own = np.searchsorted(starts_s, moments_s, side="right")
-        rates = np.empty((moments_s.size, 3))
-        for number in np.unique(own):
-            low, high = time_s[ends[number]], time_s[ends[number + 1] - 1]
-            rates[own == number] = splines[number](np.clip(moments_s[own == number], low, high))
-        return rates
+        own = np.searchsorted(starts_s[1:], moments_s, side="right")
+        return np.asarray(rates(np.clip(moments_s, starts_s[own], ends_s[own])))
 
-    whole = Rotation.concatenate([Rotation.identity(), _turned(between, time_s[:-1], np.diff(time_s))])
+    whole = Rotation.concatenate([Rotation.identity(), _turned(between, time_s[:-1], np.diff(time_s), _PARTS)])
     shift = 1
     while shift < time_s.size:  # products of 2, 4, 8, ... steps
         whole = Rotation.concatenate([whole[:shift], frames.product(whole[shift:], whole[:-shift])])
@@ -310,16 +329,16 @@ def _missed_rad(R_BN: Rotation, stretch: RowArray, course: _Course) -> float:
     return float(np.median((R_BN[joined + 1] * R_BN[joined].inv() * said.inv()).magnitude()))
 
 
-def _turned(rates: Callable[[FloatArray], FloatArray], from_s: FloatArray, after_s: FloatArray) -> Rotation:
-    """The turn of the body (from axes to axes) over `after_s` from moments `from_s`, both (n,), in `_PARTS` steps of fourth
+def _turned(rates: Callable[[FloatArray], FloatArray], from_s: FloatArray, after_s: FloatArray, parts: int) -> Rotation:
+    """The turn of the body (from axes to axes) over `after_s` from moments `from_s`, both (n,), in so many parts of fourth
     order each (Magnus: Iserles & Norsett 1999, Phil. Trans. R. Soc. A 357, 983)."""
     from fluxtwin.sim.attitude.track_kernels import turned
 
-    step_s = after_s / _PARTS
+    step_s = after_s / parts
     apart_s = step_s / np.sqrt(12.0)
-    middles_s = [from_s + (part + 0.5) * step_s for part in range(_PARTS)]
+    middles_s = [from_s + (part + 0.5) * step_s for part in range(parts)]
     rates_B = rates(np.concatenate([middle_s + side * apart_s for middle_s in middles_s for side in (-1.0, 1.0)]))
-    return Rotation.from_quat(turned(rates_B.reshape(_PARTS, 2, -1, 3), step_s))
+    return Rotation.from_quat(turned(rates_B.reshape(parts, 2, -1, 3), step_s))
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ from collections.abc import Collection, Sequence
 import numpy as np
 
 from fluxtwin.calib.checks.check import check_telemetry
+from fluxtwin.calib.checks.copies import check_clipped
 from fluxtwin.calib.checks.report import Finding
 from fluxtwin.calib.checks.stuck import check_stuck
 from fluxtwin.gap.noise.choice import NOISE_LOG_SD, NoiseModel
@@ -49,8 +50,9 @@ def noise_below(noise: NoiseModel, declared_nT: float | None) -> str | None:
 
 def without_stuck(telemetry: Telemetry) -> tuple[Telemetry, BoolArray]:
     """The record without the readings of rows in which some or all axes are stuck, and which rows (N,) these are: no effect
-    repeats a reading to the last digit, so they would be taken for another one. Where all are stuck, the record as it is."""
-    _, rows = check_stuck(telemetry)
+    but a range that is too small repeats a reading to the last digit, so they would be taken for another one. Where all are
+    stuck, the record as it is."""
+    rows = check_stuck(telemetry)[1] & ~check_clipped(telemetry)[1]
     if not rows.any() or rows[telemetry.has_reading].all():
         return telemetry, np.zeros(len(telemetry), dtype=bool)
     return telemetry.replace(mag_B_nT=np.where(rows[:, None], np.nan, telemetry.mag_B_nT)), rows

@@ -376,3 +376,29 @@ lsb_nT = 10.0
         segment="samples = 1200, step_s = 1.0",
     )
     assert asked(simulate(parse_scenario(text))[0]).verdict == "no_gap"
+
+
+@pytest.mark.parametrize(
+    ("limit_nT", "rate_deg_s", "step_s"),
+    [
+        pytest.param(42_500.0, [0.02, 0.03, 0.9], 8.0, id="an axis repeats its limit to the last digit"),
+        pytest.param(42_000.0, [0.6, 0.5, 2.9], 10.0, id="a few rows of every turn"),
+    ],
+)
+def test_a_range_that_is_too_small_is_named(limit_nT: float, rate_deg_s: list[float], step_s: float) -> None:
+    text = scenario_text(
+        f'[attitude]\nmode = "tumble"\nrate_deg_s = {rate_deg_s}\n[attitude.reference]\nsigma_deg = 0.08\n'
+        "[magnetometer]\nnoise_nT = 120.0\nlsb_nT = 25.0\n"
+        f"[effects.saturation]\ndepth_nT = 1.0\nfull_scale_nT = {limit_nT}\n",
+        segment=f"samples = 1900, step_s = {step_s}",
+        inertia_kg_m2=[[0.05, 0.0, 0.0], [0.0, 0.06, 0.0], [0.0, 0.0, 0.04]],
+    )
+    record = simulate(parse_scenario(text))[0]
+    found = fluxtwin.diagnose(record, noise_nT=120.0, lsb_nT=25.0, attitude_sigma_deg=0.08)
+    assert [effect.name for effect in found.effects] == ["saturation"]
+    # The depth is that below the largest field of an axis, which the record does not hold.
+    depth = found.effects[0].parameters["depth"]
+    largest = np.abs(
+        simulate(parse_scenario(text.split("[effects.saturation]")[0] + text[text.index("[schedule]") :]))[1].field_B_nT
+    ).max()
+    assert abs(largest - depth.value - limit_nT) < 150.0 + 3.0 * depth.sigma

@@ -104,8 +104,8 @@ def trend_table(found: Trend) -> Table:
     freedom = len(found.time) - 1
     note = (
         f"Q: Cochran's statistic with {freedom} degree{'s' if freedom > 1 else ''} of freedom. Probability: that Q is "
-        "as large if nothing changed. A history other than constant is given only where it is significant at 1 % for all "
-        "parameters together, corrected for all histories that were tried."
+        "as large if nothing changed. A step, drift or line in temperature is given only where it is significant at 1 % for "
+        "all parameters together, corrected for all that were tried; what changed otherwise varies."
     )
     columns = ["parameter", "mean", "unit", "Q", "probability", "history", "size"]
     return Table("Parameters over the calibrations", columns, rows, note)
@@ -132,8 +132,8 @@ def trend_figure(found: Trend) -> Figure:
 def trend_page(found: Trend) -> Page:
     """The page of one trend."""
     caption = (
-        "Dots: values with 1 sigma. Line: the history that fits each parameter best, grey where it is constant and red "
-        "where the parameter changed."
+        "Dots: values with 1 sigma. Line: the history that fits each parameter best (the mean where it varies), grey where "
+        "it is constant and red where the parameter changed."
     )
     return Page(
         title=f"{len(found.time)} calibrations compared",

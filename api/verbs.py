@@ -326,9 +326,9 @@ def yaw(
     """
     from fluxtwin.calib.attitude.yaw import yaw_from_field
 
-    for name, value in (("--sigma-nT", sigma_B_nT), ("--attitude-sigma-deg", attitude_sigma_deg)):
+    for name, value, most in (("--sigma-nT", sigma_B_nT, 1e6), ("--attitude-sigma-deg", attitude_sigma_deg, 180.0)):
         if value is not None:
-            number_in(value, 0, 1e6, name)
+            number_in(value, 0, most, name)
     record = as_record(telemetry, **reading)
     given = None if calibration is None else as_calibration(calibration)
     known = calibration_of(record, given, force=force)

@@ -9,8 +9,8 @@ For K calibrations with parameters p_k and covariances C_k the weighted mean p a
 that changed is given the history that explains it best: a step between two calibrations, a line in time, a line in
 temperature. Each is one parameter more, tested by the drop of Q; a step pays for the K - 1 places that were tried, the
 histories for each other, and the parameters for being many (Holm 1979). Where the rest of Q is too large for chance, sigmas
-are those of the scatter about the history (Birge 1932), and so is the test: of a parameter that comes and goes, a line
-explains little. What changed without such a history is said to vary.
+are those of the scatter about the history (Birge 1932), and so is the test, from five calibrations on. A parameter that
+changed without such a history is said to vary.
 """
 
 from __future__ import annotations
@@ -38,6 +38,7 @@ from fluxtwin.sim.telemetry.record import plain_text
 EXPIRED_SIGMAS = 3.0
 """A drift that has moved a parameter by so many of its sigmas has made the last calibration expire."""
 _LEAST_DEGC = 1.0  # between calibrations: less tells nothing about temperature
+_FEWEST_LEFT = 2  # degrees of freedom: Student's t has no variance with these, so a scatter of so few tells nothing
 _LEAST_OVERLAP = 0.01  # less moves no probability
 
 
@@ -145,8 +146,8 @@ class Trend(Shown):
     def _words(self, one: History) -> str:
         if one.kind == "varies":
             return (
-                f"{one.name} varies by more than its sigmas (probability {chance(one.probability)}), in no step and not in "
-                "proportion to time or temperature."
+                f"{one.name} varies by more than its sigmas (probability {chance(one.probability)}), and no "
+                "step or line in time or temperature stands out of its scatter."
             )
         unit = "" if one.unit == "1" else f" {one.unit}"
         size = measured(one.size, one.size_sigma)
@@ -326,7 +327,7 @@ def _histories(
             information = float((w * x**2).sum())
             size, error = float((w * x * p).sum()) / information, information**-0.5
             left, dof = q - (size / error) ** 2, count - 2
-            steady = chi2.sf(left, dof) > FALSE_ALARM if dof else True
+            steady = dof <= _FEWEST_LEFT or chi2.sf(left, dof) > FALSE_ALARM
             error *= 1.0 if steady else (left / dof) ** 0.5
             # its logarithm, as beyond 38 sigma the probability itself is 0 for all of them
             by_chance = norm.logsf(abs(size / error)) if steady else t.logsf(abs(size / error), dof)

@@ -57,8 +57,7 @@ def check_outliers(
     rows, left, field, jumps_nT = _left(telemetry, sample, model, usable)
     if rows.size < _FEWEST:
         return [], mask
-    found = [_deviation(left[part]) for part in _stretches(telemetry.time[rows])]
-    deviation, inner = np.concatenate([one for one, _ in found]), np.concatenate([rest for _, rest in found])
+    deviation, inner = _deviation(left, *_ends(telemetry.time[rows]))
     ratio = _ratio(deviation, inner if inner.any() else ~inner, field, least_step(telemetry.mag_B_nT[rows]))
     if jumps_nT is None:
         ratio[_driven(telemetry, rows, 1 if sample is not None else _FURTHEST)] = 0.0
@@ -87,8 +86,12 @@ def check_outliers(
 
 
 def _limit(ratio: FloatArray) -> float:
-    """Beyond it fewer rows lie than nearly reach it: those are the tail of one scatter, as a spin leaves one, and only what
-    lies beyond that is of another kind."""
+    """Robust standard deviations beyond which a row is taken for an outlier, `STANDS_OUT` or more.
+
+    Where more rows lie between three quarters of the limit and the limit than beyond it, these may all be the tail of one
+    scatter, as the residual of a spinner has one: it is so for tails that fall faster than the power -2.4, as that of
+    Student's t with three degrees of freedom does.
+    """
     limit = STANDS_OUT
     while 0 < (beyond := np.count_nonzero(ratio > limit)) < np.count_nonzero(ratio > 0.75 * limit) - beyond:
         limit /= 0.75
@@ -223,28 +226,41 @@ def _running_median(values: FloatArray) -> FloatArray:
     return np.asarray(median_filter(values, size=(_WINDOW, 1), mode="mirror"))
 
 
-def _stretches(time: TimeArray) -> list[slice]:
-    """Rows without a gap between them; a running median knows no others."""
+def _ends(time: TimeArray) -> tuple[np.ndarray, np.ndarray]:
+    """(S,) first and last rows of stretches without a gap that are no shorter than the window of the running median. If less
+    than half of the rows lie in such stretches, the record counts as one: the window then runs across the gaps."""
     step = np.diff(time).astype("int64")
-    ends = [0, *(np.flatnonzero(step > GAP_STEPS * np.median(step)) + 1).tolist(), len(time)]
-    return [slice(*pair) for pair in itertools.pairwise(ends)]
+    after = np.flatnonzero(step > GAP_STEPS * np.median(step)) + 1
+    first, last = np.append(0, after), np.append(after, len(time)) - 1
+    long = last - first >= _WINDOW - 1
+    if 2 * (last - first + 1)[long].sum() < len(time):
+        return np.array([0]), np.array([len(time) - 1])
+    return first[long], last[long]
 
 
-def _deviation(left: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """(n, d) what is left, less its running median, and the rows (n,) where that has neighbours on both sides.
+def _deviation(left: FloatArray, first: np.ndarray, last: np.ndarray) -> tuple[FloatArray, BoolArray]:
+    """(n, d) what is left, less its running median, in stretches with these ends (S,), zero elsewhere; and the rows (n,)
+    that have neighbours enough on both sides.
 
-    On a slope the median of a mirrored window lags by two steps in the first and the last row, by one in those next to them.
-    There, so many of the steepest steps nearby that do not lead to the row itself count as slope.
+    Towards an end the window is mirrored. On a slope its median lags by two steps in the last row and by one in the row
+    before. So many of the third steepest step among the next rows are no deviation there: two are those of one more outlier.
     """
-    deviation, inner = left - _running_median(left), np.ones(len(left), dtype=bool)
-    if len(left) < _WINDOW:  # too few to tell which one is off
-        return np.zeros_like(deviation), ~inner
-    step = np.abs(np.diff(left, axis=0))
-    for row, lag in ((0, 2), (1, 1), (len(left) - 2, 1), (len(left) - 1, 2)):
-        near = np.arange(max(row - _WINDOW, 0), min(row + _WINDOW, len(step)))
-        slope = lag * step[near[(near != row) & (near != row - 1)]].max(axis=0)
-        deviation[row] = np.sign(deviation[row]) * np.maximum(np.abs(deviation[row]) - slope, 0.0)
-        inner[row] = False
+    course, half = _running_median(left), _WINDOW // 2
+    inner = np.zeros(len(left) + 1, dtype=np.intp)
+    np.add.at(inner, first, 1)
+    np.add.at(inner, last + 1, -1)
+    inner = inner.cumsum()[:-1] > 0
+    sides = ((first[:, None], 1), (last[:, None], -1))
+    for end, inwards in sides:
+        about = np.abs(np.arange(half)[:, None] + np.arange(-half, half + 1))  # (4, 9) rows from the end
+        course[end + inwards * np.arange(half)] = np.median(left[end[:, :, None] + inwards * about], axis=2)
+    deviation = np.where(inner[:, None], left - course, 0.0)
+    for (end, inwards), (row, lag) in itertools.product(sides, ((0, 2), (1, 1))):
+        at = end[:, 0] + inwards * row
+        steps = np.abs(np.diff(left[end + inwards * np.arange(row + 1, _WINDOW)], axis=1))
+        beyond = np.abs(deviation[at]) - lag * np.sort(steps, axis=1)[:, -3]
+        deviation[at] = np.sign(deviation[at]) * np.maximum(beyond, 0.0)
+        inner[at] = False
     return deviation, inner
 
 

@@ -50,9 +50,11 @@ def noise_below(noise: NoiseModel, declared_nT: float | None) -> str | None:
 
 def without_stuck(telemetry: Telemetry) -> tuple[Telemetry, BoolArray]:
     """The record without the readings of rows in which some or all axes are stuck, and which rows (N,) these are: no effect
-    but a range that is too small repeats a reading to the last digit, so they would be taken for another one. Where all are
-    stuck, the record as it is."""
-    rows = check_stuck(telemetry)[1] & ~check_clipped(telemetry)[1]
+    but a range that is too small repeats a reading to the last digit, so they would be taken for another one; and that never
+    on all axes at once. Where all are stuck, the record as it is."""
+    repeated = np.all(np.diff(telemetry.mag_B_nT, axis=0) == 0.0, axis=1)
+    held = np.append(repeated, False) | np.append(False, repeated)
+    rows = check_stuck(telemetry)[1] & (held | ~check_clipped(telemetry)[1])
     if not rows.any() or rows[telemetry.has_reading].all():
         return telemetry, np.zeros(len(telemetry), dtype=bool)
     return telemetry.replace(mag_B_nT=np.where(rows[:, None], np.nan, telemetry.mag_B_nT)), rows

@@ -38,9 +38,7 @@ _AS_GOOD = 1.01  # of the smallest prediction error: among such fits the one tha
 _WILD = 100.0  # times the median: a single wrong attitude counts no more
 _FURTHEST = 1.0  # rad from one attitude to the next: less than half a turn is one also with a wobble twice as fast
 _ASTRAY = 0.1  # rad, rms: a gyro that misses the attitudes by more is none to go by
-_PARTS = (
-    6  # of the way to the next stamp, 0.4 rad each where a spinner turns by 130 deg; at most so many further on, too
-)
+_PARTS = 6  # of the way to the next stamp: 0.4 rad each where a spinner turns by 130 deg
 _TELLS = (
     0.2  # between the correlations that white and slow errors leave: 6 sigma of 900 pairs, 3 from either to the middle
 )
@@ -95,14 +93,7 @@ class _Course:
         """(n, 3) rotation vector in body axes from stamps `here` by `after_s` (n,)."""
         if self.between is None:
             return np.asarray(self.rate_B_rad_s[here] * after_s[:, None])
-        way = np.max(np.abs(after_s), initial=0.0) / self.step_s
-        parts = int(np.clip(np.ceil(_PARTS * way), 1, _PARTS))
-        return -_turned(self.between, self.time_s[here], after_s, parts).as_rotvec()
-
-    @cached_property
-    def step_s(self) -> float:
-        """The usual one from stamp to stamp."""
-        return float(np.median(np.diff(self.time_s))) if self.time_s.size > 1 else 1.0
+        return -_turned(self.between, self.time_s[here], after_s).as_rotvec()
 
 
 @dataclass(frozen=True, eq=False)
@@ -312,7 +303,7 @@ def _by_gyro(time_s: FloatArray, rate_B_rad_s: FloatArray, stretch: RowArray) ->
         own = np.searchsorted(starts_s[1:], moments_s, side="right")
         return np.asarray(rates(np.clip(moments_s, starts_s[own], ends_s[own])))
 
-    whole = Rotation.concatenate([Rotation.identity(), _turned(between, time_s[:-1], np.diff(time_s), _PARTS)])
+    whole = Rotation.concatenate([Rotation.identity(), _turned(between, time_s[:-1], np.diff(time_s))])
     shift = 1
     while shift < time_s.size:  # products of 2, 4, 8, ... steps
         whole = Rotation.concatenate([whole[:shift], frames.product(whole[shift:], whole[:-shift])])
@@ -329,16 +320,16 @@ def _missed_rad(R_BN: Rotation, stretch: RowArray, course: _Course) -> float:
     return float(np.median((R_BN[joined + 1] * R_BN[joined].inv() * said.inv()).magnitude()))
 
 
-def _turned(rates: Callable[[FloatArray], FloatArray], from_s: FloatArray, after_s: FloatArray, parts: int) -> Rotation:
-    """The turn of the body (from axes to axes) over `after_s` from moments `from_s`, both (n,), in so many parts of fourth
+def _turned(rates: Callable[[FloatArray], FloatArray], from_s: FloatArray, after_s: FloatArray) -> Rotation:
+    """The turn of the body (from axes to axes) over `after_s` from moments `from_s`, both (n,), in `_PARTS` steps of fourth
     order each (Magnus: Iserles & Norsett 1999, Phil. Trans. R. Soc. A 357, 983)."""
     from fluxtwin.sim.attitude.track_kernels import turned
 
-    step_s = after_s / parts
+    step_s = after_s / _PARTS
     apart_s = step_s / np.sqrt(12.0)
-    middles_s = [from_s + (part + 0.5) * step_s for part in range(parts)]
+    middles_s = [from_s + (part + 0.5) * step_s for part in range(_PARTS)]
     rates_B = rates(np.concatenate([middle_s + side * apart_s for middle_s in middles_s for side in (-1.0, 1.0)]))
-    return Rotation.from_quat(turned(rates_B.reshape(parts, 2, -1, 3), step_s))
+    return Rotation.from_quat(turned(rates_B.reshape(_PARTS, 2, -1, 3), step_s))
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,7 @@ class Shown:
         return f"<{type(self).__name__}: {self.report().splitlines()[0]}>"
 
     def __eq__(self, other: object) -> bool:
-        return _equal(self, other)
+        return _equal(self, other) if type(self) is type(other) else NotImplemented
 
     def __str__(self) -> str:
         return self.report()
@@ -48,17 +48,17 @@ class Shown:
 
 
 def _equal(one: Any, other: Any) -> bool:
-    """Whether all fields and entries are equal; arrays by value, with missing where missing."""
+    """Whether all entries are equal, and all fields that their class compares; missing numbers equal each other."""
     if type(one) is not type(other):
         return False
     if one is other:
         return True
     if isinstance(one, np.ndarray):
-        return np.array_equal(one, other, equal_nan=one.dtype.kind in "fcmM")
+        return np.array_equal(one, other, equal_nan=all(part.dtype.kind in "fcmM" for part in (one, other)))
     if is_dataclass(one):
         return all(_equal(getattr(one, part.name), getattr(other, part.name)) for part in fields(one) if part.compare)
     if isinstance(one, Mapping):
         return one.keys() == other.keys() and all(_equal(one[key], other[key]) for key in one)
     if isinstance(one, list | tuple):
         return len(one) == len(other) and all(map(_equal, one, other))
-    return bool(one == other)
+    return bool(one == other or (one != one and other != other))  # a missing number is not itself

@@ -121,7 +121,7 @@ class FieldModel:
 
     def truncated(self, degree: int) -> FieldModel:
         """The same model without the degrees above `degree`; raises OutOfRange outside 1..self.degree."""
-        if degree not in range(1, self.degree + 1):
+        if isinstance(degree, bool | float) or degree not in range(1, self.degree + 1):
             raise OutOfRange(
                 f"degree {degree} is not in the field model {self.name}",
                 where="degree",

@@ -24,13 +24,8 @@ LARGEST_NT = 5_000.0
 """No magnetometer is off a straight line by more than a tenth of the field: what is called so is something else."""
 _WAYS = {"o": 1.0, "r": -1.0, "n": 0.0}
 _WIDTHS_NT = (1000.0, 4000.0, 16000.0)
-_DEPTHS_NT = (
-    500.0,
-    1000.0,
-    2000.0,
-    4000.0,
-    8000.0,
-)  # further apart, a fit may begin where no reading is clipped, and stay
+_DEPTHS_NT = (500.0, 1000.0, 2000.0, 4000.0, 8000.0)
+"""Further apart, a fit may begin where no reading is clipped, and stay there."""
 
 
 def monomials(degree: int) -> tuple[str, ...]:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, ClassVar, Self, cast
+from typing import Any, ClassVar, Self, get_args
 
 import tomli_w
-from pydantic import Field, PrivateAttr, model_validator
+from pydantic import BaseModel, Field, PrivateAttr, model_validator
 
 from fluxtwin.sim.base import files
 from fluxtwin.sim.base.errors import BadInput, nearest
@@ -146,14 +146,16 @@ class Scenario(SensorSections):
         tree = self.model_dump(exclude_none=True, exclude_defaults=True)
         for dotted, value in changes.items():
             *path, last = dotted.split(".")
-            node, section = tree, cast(Any, self)
+            node: Any = tree
+            section: type[BaseModel] | None = Scenario
             for part in path:
-                node = node.setdefault(part, {})
-                section = getattr(section, part, None)
+                section = _section_of(section, part)
+                node = node.setdefault(part, {}) if value is not None else node.get(part, {})
+                if not isinstance(node, dict):
+                    raise BadInput(f"unknown key {dotted}", where="scenario")
             # Of other keys the check below complains; one that is taken out would only stay.
-            known = getattr(type(section), "model_fields", None)
-            if value is None and known is not None and last not in known:
-                raise BadInput(f"unknown key {dotted}{nearest(last, known)}", where="scenario")
+            if value is None and section is not None and last not in section.model_fields:
+                raise BadInput(f"unknown key {dotted}{nearest(last, section.model_fields)}", where="scenario")
             if value is None:
                 node.pop(last, None)
             else:
@@ -163,7 +165,9 @@ class Scenario(SensorSections):
         return changed
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, Scenario) and self.model_dump() == other.model_dump()  # wherever it was read from
+        if not isinstance(other, Scenario):
+            return NotImplemented
+        return self.model_dump() == other.model_dump()  # wherever it was read from
 
     def path_of(self, name: str) -> Path:
         """A file named in the scenario, relative to the scenario's own folder."""
@@ -174,6 +178,13 @@ class Scenario(SensorSections):
         tree = self.model_dump(exclude_none=True)
         ordered = {name: tree[name] for name in sorted(tree, key=lambda name: name in SensorSections.model_fields)}
         return tomli_w.dumps(ordered)
+
+
+def _section_of(section: type[BaseModel] | None, part: str) -> type[BaseModel] | None:
+    """The model of a part of a section; None where its keys are free."""
+    field = None if section is None else section.model_fields.get(part)
+    kinds = () if field is None else (field.annotation, *get_args(field.annotation))
+    return next((kind for kind in kinds if isinstance(kind, type) and issubclass(kind, BaseModel)), None)
 
 
 def load_scenario(path: Path | str) -> Scenario:

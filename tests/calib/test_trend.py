@@ -128,6 +128,16 @@ def test_a_drift_stays_one_where_its_sigmas_are_too_small() -> None:
     assert history.size_sigma > 0.05 * SIGMA[9] / 7.0 * 6.0  # type: ignore[attr-defined]
 
 
+@pytest.mark.parametrize(
+    ("kind", "sizes"), [("step", (0, 5, 1000)), ("step", (0, 1000, 1006)), ("drift", (0, 54, 97, 152))]
+)
+def test_three_or_four_calibrations_still_show_a_step_or_a_drift(kind: str, sizes: tuple[float, ...]) -> None:
+    moved = np.zeros((len(sizes), 12))
+    moved[:, 9] = sizes
+    found = trend(made(2, moved))
+    assert one(found, "b1").kind == kind and (found.expires is not None) == (kind == "drift")  # type: ignore[attr-defined]
+
+
 def test_a_large_drift_is_no_step() -> None:
     """Far beyond 38 sigma, where probabilities are no longer numbers."""
     moved = np.zeros((6, 12))

@@ -10,7 +10,7 @@ import pytest
 from fluxtwin.calib.checks.report import trap
 from fluxtwin.gap.noise.choice import NoiseModel
 from fluxtwin.gap.records.diagnosis import Detectable
-from fluxtwin.gap.report.input_warnings import noise_below, stuck_and_misfit, stuck_attitude, unnamed
+from fluxtwin.gap.report.input_warnings import noise_below, stuck_and_misfit, stuck_attitude, unnamed, without_stuck
 from fluxtwin.gap.report.words import hours_of, would_settle
 from fluxtwin.sim.effects.base import SignalEffect
 from fluxtwin.sim.effects.switched_field import HeaterSwitching
@@ -95,3 +95,14 @@ def test_a_range_that_is_too_small_is_no_wrong_file_where_the_diagnosis_names_it
     other = trap("sun_vector", off=40.0)
     assert unnamed([clipped, other], ["bias_step"]) == [clipped.text, other.text]
     assert unnamed([clipped, other], ["saturation"]) == [other.text]
+
+
+def test_what_is_held_on_all_axes_is_set_aside_though_one_axis_is_at_its_limit() -> None:
+    rng = np.random.default_rng(4)
+    mag = 3e4 * np.sin(np.arange(2000)[:, None] / np.array([40.0, 47.0, 53.0])) + rng.normal(0.0, 20.0, (2000, 3))
+    mag[:, 0] = np.minimum(mag[:, 0], 2.5e4)
+    clipped = np.flatnonzero(mag[:, 0] == 2.5e4)
+    mag[clipped[:30]] = mag[clipped[0]]  # a packet that repeats, in the middle of a clipped stretch
+    time = np.datetime64("2026-03-01T00:00:00", "ns") + np.arange(2000) * np.timedelta64(2, "s")
+    _, rows = without_stuck(Telemetry(time, mag))
+    assert set(clipped[:30]) <= set(np.flatnonzero(rows)) and not rows[clipped[60:]].any()

@@ -94,6 +94,9 @@ def of_xarray(dataset: Any, where: str = "Dataset") -> Table:
 
     Raises BadInput for a Dataset without stamps.
     """
+    zoned = {name: index for name, index in dataset.indexes.items() if getattr(index, "tz", None) is not None}
+    # xarray keeps stamps with a zone as objects, or as an extension type whose values are bare counts
+    dataset = dataset.assign_coords({name: index.tz_convert("UTC").tz_localize(None) for name, index in zoned.items()})
     coordinates = {str(name): dataset[name] for name in dataset.variables}
     stamps = [name for name, one in coordinates.items() if one.dtype.kind == "M" and one.ndim == 1]
     if not stamps:
@@ -105,10 +108,7 @@ def of_xarray(dataset: Any, where: str = "Dataset") -> Table:
     for key, one in coordinates.items():
         if one.dims[:1] != (along,) or one.ndim > 2 or one.dtype.kind not in "iufbM":
             continue
-        if getattr(one.dtype, "tz", None) is None:
-            value = np.asarray(one.values)
-        else:  # stamps with a zone: the values of xarray are bare counts
-            value = one.to_index().tz_convert("UTC").tz_localize(None).to_numpy()
+        value = np.asarray(one.values)
         columns["time" if key == name else key] = in_ns(value, key, where) if value.dtype.kind == "M" else value
         unit = str(one.attrs.get("units", ""))
         if unit:

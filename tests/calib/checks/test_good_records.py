@@ -98,12 +98,13 @@ def test_the_misfit_of_the_size_is_that_of_the_readings(S33: float) -> None:
 
 def test_a_slope_deviates_nowhere_and_a_reading_far_off_does_at_the_ends_too() -> None:
     slope = np.outer(np.arange(40.0), [60.0, -30.0, 5.0])
-    assert not _deviation(slope)[0].any()
-    for row in (0, 3, 20, 39):
+    ends = np.array([0]), np.array([39])
+    assert not _deviation(slope, *ends)[0].any()
+    for rows in ([0], [3], [20], [39], [0, 1], [0, 6], [32, 39]):
         wrong = slope.copy()
-        wrong[row] += 30_000.0
-        away = np.linalg.norm(_deviation(wrong)[0], axis=1)
-        assert np.argmax(away) == row and away[row] > 29_000.0
+        wrong[rows] += 30_000.0
+        away = np.linalg.norm(_deviation(wrong, *ends)[0], axis=1)
+        assert np.flatnonzero(away > 29_000.0).tolist() == rows
 
 
 def test_the_ends_of_passes_are_no_outliers_and_a_reading_far_off_is_one(model: FieldModel) -> None:
@@ -117,9 +118,19 @@ def test_the_ends_of_passes_are_no_outliers_and_a_reading_far_off_is_one(model: 
     record = whole.select(np.flatnonzero(np.arange(7000) % 1000 < 60))
     assert check_telemetry(record, model).traps == ()
     wrong = np.array(record.mag_B_nT)
-    wrong[60] += 300.0  # the first row of the second arc
+    wrong[[60, 61, 119]] += 400.0  # the first two rows of the second arc, and its last one
     (found,) = check_telemetry(record.replace(mag_B_nT=wrong), model).traps
-    assert found.code == "outliers" and found.rows == (61,)
+    assert found.code == "outliers" and found.rows == (61, 62, 120)
+
+
+def test_readings_far_off_in_bursts_that_are_shorter_than_the_window_are_outliers(model: FieldModel) -> None:
+    record = simulate(parse_scenario(scenario_text("", segment="samples = 4000, step_s = 10.0")))[0]
+    record = record.select(np.flatnonzero(np.arange(4000) % 40 < 8))
+    wrong = np.array(record.mag_B_nT)
+    wrong[[100, 333, 500]] += 30_000.0
+    assert check_telemetry(record, model).traps == ()
+    (found,) = check_telemetry(record.replace(mag_B_nT=wrong), model).traps
+    assert found.code == "outliers" and found.rows == (101, 334, 501)
 
 
 def test_the_tail_of_one_scatter_is_no_outlier_and_a_reading_far_beyond_it_is() -> None:

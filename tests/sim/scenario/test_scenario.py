@@ -172,6 +172,10 @@ def test_updated_changes_only_what_is_named():
     for key, near in (("torquer", "torquers"), ("magnetometer.noise_nt", "noise_nT")):
         with pytest.raises(BadInput, match=rf"unknown key {key}; did you mean {near}"):
             scenario.updated({key: None})
+    for key in ("gyro.bogus", "seed.x", "schedule.segments.x"):
+        with pytest.raises(BadInput, match=rf"unknown key {key}"):
+            scenario.updated({key: None})
+    assert scenario.updated({"gyro.noise_deg_s": None}) == scenario, "no gyro is switched on"
 
 
 def test_units_are_exclusive_and_convert():

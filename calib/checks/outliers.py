@@ -246,10 +246,10 @@ def _deviation(left: FloatArray, first: np.ndarray, last: np.ndarray) -> tuple[F
     before. So many of the third steepest step among the next rows are no deviation there: two are those of one more outlier.
     """
     course, half = _running_median(left), _WINDOW // 2
-    inner = np.zeros(len(left) + 1, dtype=np.intp)
-    np.add.at(inner, first, 1)
-    np.add.at(inner, last + 1, -1)
-    inner = inner.cumsum()[:-1] > 0
+    change = np.zeros(len(left) + 1, dtype=np.intp)
+    np.add.at(change, first, 1)
+    np.add.at(change, last + 1, -1)
+    inner = np.asarray(np.cumsum(change[:-1]) > 0)
     sides = ((first[:, None], 1), (last[:, None], -1))
     for end, inwards in sides:
         about = np.abs(np.arange(half)[:, None] + np.arange(-half, half + 1))  # (4, 9) rows from the end

@@ -379,18 +379,21 @@ lsb_nT = 10.0
 
 
 @pytest.mark.parametrize(
-    ("limit_nT", "rate_deg_s", "step_s"),
+    ("altitude_km", "limit_nT", "rate_deg_s", "step_s"),
     [
-        pytest.param(42_500.0, [0.02, 0.03, 0.9], 8.0, id="an axis repeats its limit to the last digit"),
-        pytest.param(42_000.0, [0.6, 0.5, 2.9], 10.0, id="a few rows of every turn"),
+        pytest.param(550.0, 42_500.0, [0.02, 0.03, 0.9], 8.0, id="an axis repeats its limit to the last digit"),
+        pytest.param(650.0, 42_000.0, [0.6, 0.5, 2.9], 10.0, id="a few rows of every turn"),
     ],
 )
-def test_a_range_that_is_too_small_is_named(limit_nT: float, rate_deg_s: list[float], step_s: float) -> None:
+def test_a_range_that_is_too_small_is_named(
+    altitude_km: float, limit_nT: float, rate_deg_s: list[float], step_s: float
+) -> None:
     text = scenario_text(
         f'[attitude]\nmode = "tumble"\nrate_deg_s = {rate_deg_s}\n[attitude.reference]\nsigma_deg = 0.08\n'
         "[magnetometer]\nnoise_nT = 120.0\nlsb_nT = 25.0\n"
         f"[effects.saturation]\ndepth_nT = 1.0\nfull_scale_nT = {limit_nT}\n",
         segment=f"samples = 1900, step_s = {step_s}",
+        altitude_km=altitude_km,
         inertia_kg_m2=[[0.05, 0.0, 0.0], [0.0, 0.06, 0.0], [0.0, 0.0, 0.04]],
     )
     record = simulate(parse_scenario(text))[0]

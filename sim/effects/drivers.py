@@ -51,6 +51,15 @@ def array_current_A(setting: Setting, panel: PanelKind) -> FloatArray:
     return np.asarray(lit(setting) * cosine)
 
 
+def panels_that_show(setting: Setting) -> tuple[PanelKind, ...]:
+    """The panels worth trying where no current of the array was recorded: those whose current changes."""
+    # Where no incidence is known all are alike.
+    kinds: tuple[PanelKind, ...] = (
+        ("zenith", "tracking", "constant") if sun_in_body(setting)[1].any() else ("constant",)
+    )
+    return tuple(kind for kind in kinds if varies(array_current_A(setting, kind)))
+
+
 def sun_in_body(setting: Setting) -> tuple[FloatArray, BoolArray]:
     """Unit vectors to the sun in body axes (N, 3), and where they are known (N,): by the attitude, else as measured."""
     sun_B = setting.given[2].apply(setting.sun_N)
@@ -63,14 +72,14 @@ def sun_in_body(setting: Setting) -> tuple[FloatArray, BoolArray]:
     return sun_B, known
 
 
-def battery_current_A(setting: Setting) -> FloatArray:
+def battery_current_A(setting: Setting, panel: PanelKind = "constant") -> FloatArray:
     """(N,) recorded current of the battery, positive when charging; else that of the array, but for a constant load; else
-    +1 A in sunlight, -1 A in shadow."""
+    that of an array of 2 A in full sun less a load of 1 A."""
     for name in ("battery_current_A", "array_current_A"):
         column = known_column(setting, name)
         if column is not None:
             return column
-    return 2.0 * lit(setting) - 1.0
+    return 2.0 * array_current_A(setting, panel) - 1.0
 
 
 def temperature_K(setting: Setting, time_constant_s: float) -> FloatArray:
@@ -115,7 +124,7 @@ def varies(column: FloatArray, least: float = 1e-6) -> bool:
 
 STAND_INS: Mapping[str, tuple[Callable[[Setting], FloatArray], ...]] = {
     "array_current_A": tuple(partial(array_current_A, panel=panel) for panel in get_args(PanelKind)),
-    "battery_current_A": (battery_current_A,),
+    "battery_current_A": tuple(partial(battery_current_A, panel=panel) for panel in get_args(PanelKind)[:3]),
     "temperature_degC": tuple(partial(temperature_K, time_constant_s=tau_s) for tau_s in TIME_CONSTANTS_S),
 }
 """What may stand in for a column where it was not recorded, by its name."""

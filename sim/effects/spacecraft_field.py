@@ -15,6 +15,7 @@ from fluxtwin.sim.effects.drivers import (
     battery_current_A,
     followed,
     lit,
+    panels_that_show,
     sun_in_body,
     varies,
 )
@@ -75,13 +76,11 @@ class SolarArrayCurrent(SpacecraftField):
     def alternatives(self, setting: Setting) -> tuple[SolarArrayCurrent, ...]:
         if known_column(setting, "array_current_A") is not None:
             return (self,)
-        kinds: tuple[PanelKind, ...] = ("zenith", "tracking", "constant")
-        if not sun_in_body(setting)[1].any():
-            kinds = ("constant",)  # no incidence is known
-        if known_column(setting, "battery_current_A") is not None:
-            kinds += ("balance",)
-        choices = tuple(SolarArrayCurrent(kind) for kind in kinds)
-        return tuple(choice for choice in choices if choice.untestable(setting) is None) or (self,)
+        choices = tuple(SolarArrayCurrent(kind) for kind in panels_that_show(setting))
+        balance = SolarArrayCurrent("balance")
+        if known_column(setting, "battery_current_A") is not None and varies(balance.values(setting)):
+            choices += (balance,)
+        return choices or (self,)
 
     def condition_on(self, setting: Setting) -> str | None:
         recorded = self.panel == "balance" or setting.column("array_current_A") is not None
@@ -137,7 +136,8 @@ class BatteryCurrent(SpacecraftField):
     """Field in proportion to the battery's current.
 
     Without the column `battery_current_A` the current is that of the array less a constant load, or, where that is not
-    recorded either, +1 A in sunlight and -1 A in shadow.
+    recorded either, that of an array of 2 A in full sun less a load of 1 A: `panel` says how its current follows the sun, as
+    in `solar_array_current`.
     """
 
     name = "battery_current"
@@ -145,20 +145,31 @@ class BatteryCurrent(SpacecraftField):
     settled_by = "steps of the load, or the taper at the end of charge, with the current in the telemetry"
     about = (
         "the current is positive when charging, the field positive along the axis. Where no current was recorded, s is the "
-        "field in sunlight [nT], and -s that in shadow (CryoSat-2: Olsen et al. 2020, doi 10.1186/s40623-020-01171-9)"
+        "field in full sun [nT], on the panel that is assumed, and -s that in shadow (CryoSat-2: Olsen et al. 2020, doi "
+        "10.1186/s40623-020-01171-9)"
     )
+    panel: PanelKind = "constant"
+
     parameters = vector_parameters("s", "nT/A", 20.0)
+
+    def alternatives(self, setting: Setting) -> tuple[BatteryCurrent, ...]:
+        if not self.stands_in(setting):
+            return (self,)
+        return tuple(BatteryCurrent(kind) for kind in panels_that_show(setting)) or (self,)
 
     def condition_on(self, setting: Setting) -> str | None:
         recorded = any(setting.column(name) is not None for name in ("battery_current_A", "array_current_A"))
         return self.follows if recorded else "sunlit"
 
     def values(self, setting: Setting) -> FloatArray:
-        return battery_current_A(setting)
+        return battery_current_A(setting, self.panel)
 
     def stands_in(self, setting: Setting) -> str:
         known = any(known_column(setting, name) is not None for name in ("battery_current_A", "array_current_A"))
-        return "" if known else "in sunlight, and the opposite in shadow, as no current was recorded"
+        assumed = (
+            f"in full sun on an assumed {_PANELS[self.panel]}, and the opposite in shadow, as no current was recorded"
+        )
+        return "" if known else assumed
 
     def untestable(self, setting: Setting) -> str | None:
         if varies(self.values(setting)):

@@ -157,11 +157,13 @@ def test_of_a_current_that_nobody_recorded_nothing_is_per_ampere(problem: Proble
         problem.setting, columns={**problem.setting.columns, "battery_current_A": problem.setting.seconds}
     )
     sun, known = "in full sun on an assumed", "as no current was recorded"
+    opposite = "and the opposite in shadow"
     for effect, setting, unit, assumed in [
         (SolarArrayCurrent(), problem.setting, "nT", f"{sun} panel on -z, {known}"),
         (SolarArrayCurrent("tracking"), problem.setting, "nT", f"{sun} array that turns about y, {known}"),
         (SolarArrayCurrent("constant"), charged, "nT", f"{sun} array that always faces the sun, {known}"),
-        (BatteryCurrent(), problem.setting, "nT", f"in sunlight, and the opposite in shadow, {known}"),
+        (BatteryCurrent(), problem.setting, "nT", f"{sun} array that always faces the sun, {opposite}, {known}"),
+        (BatteryCurrent("zenith"), problem.setting, "nT", f"{sun} panel on -z, {opposite}, {known}"),
         (SolarArrayCurrent(), recorded, "nT/A", ""),
         (SolarArrayCurrent("balance"), charged, "nT/A", ""),
         (BatteryCurrent(), recorded, "nT/A", ""),

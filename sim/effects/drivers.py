@@ -16,8 +16,17 @@ from fluxtwin.sim.effects.history import relax
 from fluxtwin.sim.effects.signal import Setting
 from fluxtwin.sim.spacecraft.power import Panel, incidence_cosine
 
-PanelKind = Literal["zenith", "tracking", "constant", "balance"]
-"""A panel on the -z face, an array that turns about y, a current that only shadow cuts, or what the battery says."""
+PanelKind = Literal["-z", "+z", "+x", "-x", "+y", "-y", "tracking", "constant", "balance"]
+"""A panel on a face, an array that turns about y, a current that only shadow cuts, or what the battery says."""
+_FACES: Mapping[PanelKind, tuple[float, float, float]] = {
+    "-z": (0.0, 0.0, -1.0),
+    "+z": (0.0, 0.0, 1.0),
+    "+x": (1.0, 0.0, 0.0),
+    "-x": (-1.0, 0.0, 0.0),
+    "+y": (0.0, 1.0, 0.0),
+    "-y": (0.0, -1.0, 0.0),
+}
+"""Outward normals, in body axes."""
 
 TIME_CONSTANTS_S = (300.0, 900.0, 2700.0)
 """Thermal time constants tried where no temperature was recorded: a boom's sensor to one inside the body."""
@@ -43,7 +52,7 @@ def array_current_A(setting: Setting, panel: PanelKind) -> FloatArray:
         battery = known_column(setting, "battery_current_A")
         return lit(setting) if battery is None else battery
     sun_B, known = sun_in_body(setting)
-    shape = Panel((0.0, 0.0, -1.0), 1.0) if panel == "zenith" else Panel((0.0, 1.0, 0.0), 1.0, tracks=True)
+    shape = Panel(_FACES[panel], 1.0) if panel in _FACES else Panel((0.0, 1.0, 0.0), 1.0, tracks=True)
     cosine = incidence_cosine(sun_B, shape)
     if not known.all():
         seen = known & (lit(setting) > 0.5)
@@ -54,9 +63,7 @@ def array_current_A(setting: Setting, panel: PanelKind) -> FloatArray:
 def panels_that_show(setting: Setting) -> tuple[PanelKind, ...]:
     """The panels worth trying where no current of the array was recorded: those whose current changes."""
     # Where no incidence is known all are alike.
-    kinds: tuple[PanelKind, ...] = (
-        ("zenith", "tracking", "constant") if sun_in_body(setting)[1].any() else ("constant",)
-    )
+    kinds: tuple[PanelKind, ...] = (*_FACES, "tracking", "constant") if sun_in_body(setting)[1].any() else ("constant",)
     return tuple(kind for kind in kinds if varies(array_current_A(setting, kind)))
 
 
@@ -124,7 +131,7 @@ def varies(column: FloatArray, least: float = 1e-6) -> bool:
 
 STAND_INS: Mapping[str, tuple[Callable[[Setting], FloatArray], ...]] = {
     "array_current_A": tuple(partial(array_current_A, panel=panel) for panel in get_args(PanelKind)),
-    "battery_current_A": tuple(partial(battery_current_A, panel=panel) for panel in get_args(PanelKind)[:3]),
+    "battery_current_A": tuple(partial(battery_current_A, panel=panel) for panel in get_args(PanelKind)[:-1]),
     "temperature_degC": tuple(partial(temperature_K, time_constant_s=tau_s) for tau_s in TIME_CONSTANTS_S),
 }
 """What may stand in for a column where it was not recorded, by its name."""

@@ -208,7 +208,8 @@ def test_without_columns_geometry_stands_in(bare: Chain) -> None:
     charge = added(design(instrument=Magnetometer(np.zeros((3, 3)), np.zeros(3))), BatteryCurrent(), [1.0, 0, 0])[:, 0]
     np.testing.assert_allclose(charge, 2.0 * lit - 1.0, atol=1e-9)
     panels = [choice.panel for choice in SolarArrayCurrent().alternatives(setting)]
-    assert panels == ["zenith", "tracking", "constant"]
+    assert panels == [choice.panel for choice in BatteryCurrent().alternatives(setting)]
+    assert panels == ["-z", "+z", "+x", "-x", "-y", "tracking", "constant"], "+y never sees this sun"
 
 
 def test_signs_are_the_contracts(close: Callable[..., None]) -> None:

@@ -18,6 +18,7 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
 from scipy.special import gammaln
 
 from fluxtwin.calib.common.criterion import FALSE_ALARM
@@ -168,14 +169,23 @@ def _snug(place: _Place, box: Box, on: BoolArray) -> Box:
 
 
 def heater_sequence(
-    setting: Setting, left: ProjectedResidual, residual_nT: FloatArray, rivals: Sequence[BlockFit], line: Line
+    setting: Setting,
+    left: ProjectedResidual,
+    residual_nT: FloatArray,
+    fitted_nT: FloatArray,
+    rivals: Sequence[BlockFit],
+    line: Line,
+    start: BoolArray | None = None,
 ) -> Finding | None:
     """Look for a two-state sequence; None where there is none.
 
-    residual_nT (N, 3): what was fitted is out of it, as of `left`, which is whitened. rivals: fits of the design's
-    blocks. line: the strongest one, of which nothing may be left given the sequence.
+    residual_nT (N, 3), fitted_nT (N, 3, q): as they are out of each other in `left`, which is whitened. rivals: fits of the
+    design's blocks. line: the strongest one, of which nothing may be left given the sequence. start (N,): one to begin
+    with, where there is one.
     """
-    on = _polished(left, _sequence(setting.seconds, left, residual_nT, line))
+    beside = _Beside(left, residual_nT, fitted_nT)
+    first = _sequence(setting, left, beside, line) if start is None else _climbed(left, beside, start)
+    on = _polished(left, first)
     on = ~on if on.mean() > 0.5 else on  # a bias hides which state is which: the rarer one is called on
     found, value = _fitted(left, on), _worth(left, on)
     if value <= THRESHOLD:
@@ -201,30 +211,60 @@ def _fitted(left: ProjectedResidual, on: BoolArray) -> Fitted:
 
 def _worth(left: ProjectedResidual, on: BoolArray) -> float:
     """Of a sequence, of all those with so many switches."""
+    return _fitted(left, on).worth(log_sequences(on))
+
+
+def log_sequences(on: BoolArray) -> float:
+    """Log of the number of all sequences with as many switches."""
     rows, count = on.size, _switches(on).size
-    return _fitted(left, on).worth(float(gammaln(rows + 1) - gammaln(count + 1) - gammaln(rows - count + 1)))
+    return float(gammaln(rows + 1) - gammaln(count + 1) - gammaln(rows - count + 1))
 
 
-def _sequence(seconds: FloatArray, left: ProjectedResidual, rest_nT: FloatArray, line: Line) -> BoolArray:
+class _Beside:
+    """A residual (N, 3) in nT, and what fitted columns (N, 3, q) take of it and of a signal: the mean of a heater's field
+    over day and night, say, where something is fitted that follows the sunlight."""
+
+    def __init__(self, left: ProjectedResidual, residual_nT: FloatArray, fitted_nT: FloatArray) -> None:
+        self._left, self._fitted_nT = left, fitted_nT
+        white = left.whitener.apply(np.ascontiguousarray(fitted_nT)).reshape(left.residual.size, -1)
+        self._inverse = np.linalg.pinv(white, rcond=1e-10)
+        self.rest_nT: FloatArray = residual_nT - self.of(residual_nT)
+
+    def of(self, signal_nT: FloatArray) -> FloatArray:
+        """(N, 3) what the columns take of a signal (N, 3)."""
+        size = self._inverse @ self._left.whitener.apply(signal_nT).reshape(-1)
+        return np.asarray(self._fitted_nT @ size)
+
+
+def _sequence(setting: Setting, left: ProjectedResidual, beside: _Beside, line: Line) -> BoolArray:
     """(N,) the likeliest two-state sequence."""
+    seconds, rest_nT = setting.seconds, beside.rest_nT
     lagged = sum(rest_nT[lag:].T @ rest_nT[: len(rest_nT) - lag] for lag in (1, 2, 3))
     directions = list(np.linalg.eigh(np.asarray(lagged + np.transpose(lagged)))[1].T)
+    cycles = []
     if line.frequency_Hz > 0:
         # Two levels in turn have a line along their field.
         waves = fitted(left, line_columns(seconds, line.frequency_Hz)).size.reshape(2, 3)
-        directions.append(np.linalg.svd(waves)[2][0])
+        along = np.linalg.svd(waves)[2][0]
+        directions.append(along)
+        # How long they are on in each turn may follow the sun, and that part others have explained already.
+        turn = max(round(1.0 / (line.frequency_Hz * float(np.median(np.diff(seconds))))), 1)
+        z = rest_nT @ along
+        cycle, dark = uniform_filter1d(z, max(turn // 8, 1)) > uniform_filter1d(z, turn), lit(setting) < 0.5
+        cycles = [cycle, cycle & dark, cycle & ~dark]
     first = [_viterbi(rest_nT @ along, None, share) for along in directions for share in (0.25, 0.5, 0.75)]
     distinct = sorted({on.tobytes(): on for on in first}.values(), key=lambda on: -_worth(left, on))
-    climbed = [_climbed(left, rest_nT, on) for on in distinct[:2]]
+    climbed = [_climbed(left, beside, on) for on in [*distinct[:2], *cycles]]
     return max(climbed, key=lambda on: _worth(left, on))
 
 
-def _climbed(left: ProjectedResidual, rest_nT: FloatArray, on: BoolArray) -> BoolArray:
-    """(N,) the sequence that a first one leads to, in turn with the field."""
+def _climbed(left: ProjectedResidual, beside: _Beside, on: BoolArray) -> BoolArray:
+    """(N,) the sequence that a first one leads to, in turn with the field and with what was fitted before."""
     for _ in range(_ROUNDS):
         if not on.any() or on.all():
             break
         field = _fitted(left, on).size
+        rest_nT = beside.rest_nT + beside.of(np.outer(on, field))
         spread = np.cov((rest_nT - np.outer(on - on.mean(), field)).T)
         again = _viterbi(rest_nT @ np.linalg.solve(spread, field), on)
         if np.array_equal(again, on):
@@ -266,18 +306,21 @@ def _changes(on: BoolArray) -> list[slice]:
 
 
 def _viterbi(z: FloatArray, start: BoolArray | None, share: float = 0.5) -> BoolArray:
-    """Best cut of a series into two levels with a penalty of log N a switch; levels and noise re-estimated in turn.
+    """Best cut of a series into two levels with a penalty for each switch; levels and noise re-estimated in turn.
 
-    start: where to begin; None: with this share of the rows in the lower level.
+    start: where to begin; None: with this share of the rows in the lower level. The penalty is what one switch more costs
+    of all sequences with so many.
     """
     on = z > np.quantile(z, share) if start is None else start
+    count = 1 if start is None else max(_switches(start).size, 1)
+    penalty = float(np.log(max((z.size - count) / count, 1.0)))
     scale = 1.4826 * np.median(np.abs(np.diff(z))) / np.sqrt(2)
     for _ in range(_ROUNDS):
         if not on.any() or on.all():
             break
         low, high = float(z[~on].mean()), float(z[on].mean())
         noise = max(float(np.std(z - np.where(on, high, low))), 1e-3 * scale, 1e-12)
-        again = _path(((z - low) ** 2 - (z - high) ** 2) / (2 * noise**2), float(np.log(z.size)))
+        again = _path(((z - low) ** 2 - (z - high) ** 2) / (2 * noise**2), penalty)
         if np.array_equal(again, on):
             break
         on = again
@@ -300,6 +343,17 @@ def _path(gain: FloatArray, penalty: float) -> BoolArray:
         on[row] = state
         state = not from_off[row] if state else bool(from_on[row])
     return on
+
+
+def upper_of_two(z: FloatArray) -> BoolArray:
+    """(N,) which of a series are nearer to the upper one of two levels, each the mean of those near it."""
+    border = 0.5 * float(z.min() + z.max())
+    for _ in range(_ROUNDS):
+        on = z > border
+        if not on.any() or on.all():
+            break
+        border = 0.5 * float(z[on].mean() + z[~on].mean())
+    return np.asarray(z > border)
 
 
 def _regularity(setting: Setting, on: BoolArray) -> float:

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import expit
 
-from fluxtwin.gap.detectors.finding import Finding
+from fluxtwin.gap.detectors.finding import Finding, fitted
 from fluxtwin.gap.detectors.lines import (
     FullRate,
     companion,
@@ -26,9 +26,9 @@ from fluxtwin.gap.detectors.lines import (
 )
 from fluxtwin.gap.detectors.random_walk import random_walk
 from fluxtwin.gap.detectors.residual_structure import Structure, residual_structure
-from fluxtwin.gap.detectors.switched import heater_sequence, switched_region
-from fluxtwin.gap.hypotheses.blocks import Dictionary
-from fluxtwin.gap.linear.projection import projected
+from fluxtwin.gap.detectors.switched import heater_sequence, log_sequences, switched_region, upper_of_two
+from fluxtwin.gap.hypotheses.blocks import Dictionary, in_body
+from fluxtwin.gap.linear.projection import ProjectedResidual, projected
 from fluxtwin.gap.noise.choice import NoiseModel, Whitener, choose_noise, whitener_of
 from fluxtwin.gap.noise.whitening import gain, likeliest_rate, with_walk
 from fluxtwin.gap.posterior.explanations import (
@@ -43,8 +43,9 @@ from fluxtwin.gap.posterior.explanations import (
 from fluxtwin.gap.problem.problem import Problem
 from fluxtwin.gap.selection.criterion import IN_GROUP, LOG_FURTHER, SHAPE, THRESHOLD, samples_of, worth
 from fluxtwin.gap.selection.forward import LARGEST
-from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.effects.chain import Active
+from fluxtwin.sim.effects.switched_field import HeaterSwitching
 
 _WALK, _LIKE_A_WALK = "bias_random_walk", ("bias_step", "linear_drift")
 """A walk's largest excursion looks like a step, its whole way like a drift: what a name can be before it is a walk."""
@@ -94,7 +95,7 @@ class Structured:
             for bare in (True, False) if named and answer.known < 0.5 else (False,):
                 finding = self._signal(answer, bare=bare)
                 if finding is not None:
-                    return self.given([*answer.shapes, finding])
+                    return self._merged(self.given([*answer.shapes, finding]))
         stepped = any(one.name in _LIKE_A_WALK for one in named)
         if not walks and (answer.left.structured or len(named) > 1 or stepped):
             return self._walking(answer)
@@ -102,12 +103,57 @@ class Structured:
 
     def _signal(self, answer: Answer, *, bare: bool) -> Finding | None:
         result, whitener = answer.result, answer.whitener
-        residual, fitted, left = result.residual_nT, answer.fitted_nT, answer.left
+        residual, columns, left = result.residual_nT, answer.fitted_nT, answer.left
         if bare:
-            residual, fitted = result.residual_alone_nT, without_names(self.problem, answer)
-            left = residual_structure(self.problem, whitener, residual, fitted, self.dictionary)
-        proposed = self._proposed(whitener, residual, fitted, left, () if bare else result.chosen)
+            residual, columns = result.residual_alone_nT, without_names(self.problem, answer)
+            left = residual_structure(self.problem, whitener, residual, columns, self.dictionary)
+        proposed = self._proposed(whitener, residual, columns, left, () if bare else result.chosen)
         return next((one for one in proposed if one is not None and one.confirmed), None)
+
+    def _merged(self, answer: Answer) -> Answer:
+        """The answer with the sequence of a thermostat that does another cause's work too, where one does.
+
+        A heater that runs through the shadow but for a pause in each turn was its pauses and a field that follows the sun.
+        """
+        result, whitener, setting = answer.result, answer.whitener, self.problem.setting
+        named = list(result.chosen)
+        heater = next((one for one in reversed(answer.shapes) if isinstance(one.effect, HeaterSwitching)), None)
+        if heater is None:
+            return answer
+
+        def beside(
+            shapes: Sequence[Finding], chosen: Sequence[Active]
+        ) -> tuple[FloatArray, FloatArray, ProjectedResidual]:
+            active = [*result.modelled, *signals_of(shapes), *chosen]
+            residual, columns = self.problem.residual_of(active), self.problem.derivatives(active)
+            return residual, columns, projected(whitener, residual, columns)
+
+        kept = [one for one in answer.shapes if one is not heater]
+        with_all, _, rest = beside(kept, named)
+        with_all = with_all - self.problem.derivatives([(heater.effect, heater.theta)]) @ heater.theta
+        best, least = None, self._cost(rest, heater)
+        one_name = LOG_FURTHER + 2.0 * float(np.log(result.tested))
+        fewer: list[tuple[Sequence[Finding], Sequence[Active], float]]
+        fewer = [(kept, [other for other in named if other is not one], one_name) for one in named]
+        for other in kept:
+            if isinstance(other.effect, HeaterSwitching):
+                saved = one_name + 2.0 * log_sequences(_on(other))
+                fewer.append(([one for one in kept if one is not other], named, saved))
+        for shapes, chosen, saved in fewer:
+            residual, columns, rest = beside(shapes, chosen)
+            start = upper_of_two((residual - with_all) @ heater.theta)
+            line, fits = strongest_line(setting.seconds, rest), self.dictionary.fits(rest)
+            found = heater_sequence(setting, rest, residual, columns, fits, line, start)
+            if found is not None and found.confirmed and (cost := self._cost(rest, found) - saved) < least:
+                best, least = [*shapes, found], cost
+        merged = answer if best is None else self.given(best)
+        fewer_causes = len(merged.result.named) + len(merged.shapes) < len(result.named) + len(answer.shapes)
+        return self._merged(merged) if fewer_causes else answer
+
+    def _cost(self, left: ProjectedResidual, one: Finding) -> float:
+        """Of a thermostat's sequence in a residual: the chi-square that it leaves, and twice the log of what was tried."""
+        on = _on(one)
+        return left.energy - fitted(left, in_body(on.astype(float))).energy + 2.0 * log_sequences(on)
 
     def _proposed(
         self,
@@ -123,11 +169,11 @@ class Structured:
         line, fits = strongest_line(setting.seconds, rest), self.dictionary.fits(rest)
         if left.kind == "tone" and not any(companion(setting, rest, line, one) for one, _ in chosen):
             yield wheel_line(setting, rest, line, fits)
-        yield switched_region(self.problem, rest, fits)
+        switched = [switched_region(self.problem, rest, fits)]
         if setting.column("heater_on") is None:
-            white = whitener.apply(np.ascontiguousarray(fitted_nT)).reshape(rest.residual.size, -1)
-            size = np.linalg.lstsq(white, whitener.apply(residual_nT).reshape(-1), rcond=1e-10)[0]
-            yield heater_sequence(setting, rest, residual_nT - fitted_nT @ size, fits, line)
+            switched.append(heater_sequence(setting, rest, residual_nT, fitted_nT, fits, line))
+        # Where a thermostat cycles, a region is found too, and takes some of its cycles.
+        yield from sorted(switched, key=lambda one: 0.0 if one is None else -one.worth)
 
     def given(self, shapes: Sequence[Finding]) -> Answer:
         """Effects sought afresh given these shapes."""
@@ -252,6 +298,12 @@ class Structured:
         explained = max(alone.energy - projected(whitener, result.residual_nT, answer.fitted_nT).energy, 0.0)
         beyond = line.beyond(1.0 + SHAPE * explained, samples_of(whitener.measured))
         return float(expit(0.5 * (LOG_FURTHER - beyond)))
+
+
+def _on(heater: Finding) -> BoolArray:
+    """(N,) whether a heater that was found is on."""
+    assert isinstance(heater.effect, HeaterSwitching)
+    return np.array(heater.effect.sequence, dtype=np.bool_)
 
 
 def _with_rival(answer: Answer, kept: set[str], whole: float) -> Answer | None:

@@ -87,7 +87,7 @@ class Bench:
         findings: list[Finding | None] = [
             noise_level(left, SIGMA_NT, SIGMA_NT, None if verdict.structured else 0.0),
             wheel_line(setting, left, line, fits),
-            heater_sequence(setting, left, residual, fits, line),
+            heater_sequence(setting, left, residual, self.calibration, fits, line),
             random_walk(setting.seconds, left, SIGMA_NT),
         ]
         return {one.name for one in findings if one is not None and one.confirmed}

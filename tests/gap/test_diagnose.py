@@ -27,7 +27,7 @@ SECTIONS = f"""
 [attitude.reference]
 sigma_deg = 0.1
 tau_s = 150.0
-{COARSE_MAGNETOMETER}{THERMAL}"""
+{COARSE_MAGNETOMETER}"""
 ATTITUDES = {
     "nadir": "yaw_rms_deg = 4.0\nroll_rms_deg = 4.0\npitch_rms_deg = 4.0",
     "tumble": 'mode = "tumble"\nrate_deg_s = [0.12, 0.08, 0.2]',
@@ -44,12 +44,25 @@ SINGLES = {
 }
 
 
-def telemetry(design: str, effects: str = "") -> Telemetry:
+THERMOSTAT = """[thermal]
+sunlit_degC = 25.0
+eclipse_degC = -25.0
+time_constant_min = 8.0
+heater_on_below_degC = -6.0
+heater_off_above_degC = -2.0
+heater_rise_degC = {rise_degC}
+[effects.heater_switching]
+f_nT = [-240.0, -120.0, 600.0]
+"""
+ARRAY = "[power]\nfull_sun_current_A = 3.0\naxis_B = [0.0, 1.0, 0.0]\nload_A = 1.0\n"
+
+
+def telemetry(design: str, effects: str = "", thermal: str = THERMAL, hours: float = 4.0) -> Telemetry:
     text = scenario_text(
-        f"[attitude]\n{ATTITUDES[design]}\n{SECTIONS}{effects}\n",
+        f"[attitude]\n{ATTITUDES[design]}\n{SECTIONS}{thermal}{effects}\n",
         seed=4,
         inertia_kg_m2=[[10.0, 0.0, 0.0], [0.0, 12.0, 0.0], [0.0, 0.0, 15.0]],
-        segment="duration_min = 240.0, step_s = 30.0",
+        segment=f"duration_min = {60.0 * hours}, step_s = 30.0",
     )
     return simulate(parse_scenario(text))[0]
 
@@ -100,6 +113,27 @@ def test_a_panel_on_whatever_face_is_one_cause_where_its_current_was_not_recorde
     assert effect.settings["panel"] == "+x", "the face of the simulated panel"
     in_full_sun, sigma = effect.parameters["s_x"].value, effect.parameters["s_x"].sigma
     assert abs(in_full_sun - 2.0 * 250.0) < 4.0 * sigma < 0.5 * in_full_sun, "2 A in full sun"
+
+
+@pytest.mark.parametrize(
+    ("rise_degC", "beside", "names"),
+    [
+        # It warms fast, and cycles through the shadow: the mean over a cycle follows the shadow.
+        (28.0, "[effects.field_epoch]\nahead_yr = 5.0\n", {"field_epoch", "heater_switching"}),
+        # It hardly keeps up: on through the shadow but for a pause or two, which the array's current has not.
+        (23.5, ARRAY, {"heater_switching"}),
+        (25.0, ARRAY, {"heater_switching"}),
+    ],
+)
+def test_a_thermostat_that_nobody_recorded_is_one_cause(rise_degC, beside, names):
+    """Neither for what it does with the shadow, nor for what others took of it before it was found, is there another."""
+    record = telemetry("nadir", beside, THERMOSTAT.format(rise_degC=rise_degC), hours=8.0)
+    result = diagnosed(record.replace(heater_on=None, temperature_degC=None))
+    assert {*(effect.name for effect in result.effects)} == names and len(result.effects) == len(names), result.sentence
+    heater = next(effect for effect in result.effects if effect.name == "heater_switching")
+    on = np.array([heater.parameters[f"f_{axis}"].value for axis in "xyz"])
+    # A row of each edge, of some three of a state, may be on the wrong side: a sixth.
+    assert np.linalg.norm(on - [-240.0, -120.0, 600.0]) < np.linalg.norm([240.0, 120.0, 600.0]) / 6.0
 
 
 def test_two_effects_at_once_are_both_named_and_nothing_else():

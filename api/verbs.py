@@ -309,7 +309,7 @@ def yaw(
     *,
     field: str | FieldModel = "igrf14",
     degree: int | None = None,
-    sigma_B_nT: float | None = None,
+    sigma_nT: float | None = None,
     attitude_sigma_deg: float = 0.1,
     average_s: float = 120.0,
     force: bool = False,
@@ -318,7 +318,7 @@ def yaw(
     """Yaw from the calibrated field, with roll and pitch from elsewhere, and its sigma.
 
     calibration: None for a record that `apply` has corrected.
-    sigma_B_nT: the error of a field component, 1 sigma [nT]; None takes the calibration's.
+    sigma_nT: the error of a field component, 1 sigma [nT]; None takes the calibration's.
     attitude_sigma_deg: the error of roll and of pitch, 1 sigma [deg].
     average_s: how long yaw is averaged [s].
 
@@ -326,19 +326,19 @@ def yaw(
     """
     from fluxtwin.calib.attitude.yaw import yaw_from_field
 
-    for name, value, most in (("--sigma-nT", sigma_B_nT, 1e6), ("--attitude-sigma-deg", attitude_sigma_deg, 180.0)):
+    for name, value, most in (("--sigma-nT", sigma_nT, 1e6), ("--attitude-sigma-deg", attitude_sigma_deg, 180.0)):
         if value is not None:
             number_in(value, 0, most, name)
     record = as_record(telemetry, **reading)
     given = None if calibration is None else as_calibration(calibration)
     known = calibration_of(record, given, force=force)
-    if given is None and sigma_B_nT is None and known.sigma_nT == 0:
+    if given is None and sigma_nT is None and known.sigma_nT == 0:
         raise BadInput("the error of a field component is not known", where="--sigma-nT", wanted="nT, 1 sigma")
     return yaw_from_field(
         record,
         known,
         as_model(field, degree),
-        sigma_B_nT=sigma_B_nT,
+        sigma_B_nT=sigma_nT,
         sigma_angle_rad=float(np.radians(attitude_sigma_deg)),
         average_s=average_s,
     )

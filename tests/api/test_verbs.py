@@ -116,7 +116,7 @@ def test_an_unguarded_script_flies_an_ensemble_in_processes(tmp_path: Path) -> N
         (lambda record, fit: fluxtwin.field("2026-03-01", 52.0, "4E"), "'4E' is not one number"),
         (lambda record, fit: fluxtwin.field(2026.2, 52.0, 4.0), "2026.2 is no time"),
         (lambda record, fit: fluxtwin.field("2026-03-01", 52.0, 4.0, degree=8.5), "degree 8.5 is not in"),
-        (lambda record, fit: fluxtwin.yaw(record, fit.calibration, sigma_B_nT="5"), "'5' is not one number"),
+        (lambda record, fit: fluxtwin.yaw(record, fit.calibration, sigma_nT="5"), "sigma-nT: '5' is not one number"),
         (lambda record, fit: fluxtwin.diagnose(record, noise_nT=[20.0] * 3), "[20.0, 20.0, 20.0] is not one number"),
         (lambda record, fit: fluxtwin.diagnose(record, attitude_sigma_deg="0.1"), "'0.1' is not one number"),
         (

@@ -175,7 +175,7 @@ def check_file(
     mapped = column_map is not None or bool(how)
     order = _order(table, "`sort = true` in the [[file]] of a column map" if mapped else "`--repair OUT`")
     ordered, left_out = _ordered(table)
-    order += [finding for finding in left_out if finding.severity == "trap"]
+    order += left_out
     shifted = check_columns(table)
     if shifted:
         return report(str(path), table.time.size, [*how, *order, *shifted])
@@ -191,7 +191,7 @@ def check_file(
     notices = telemetry.provenance.get("notices", "").split("; ")
     how += [note("two_magnetometers", other=3 - magnetometer)] * (telemetry.mag2_B_nT is not None)
     said = [note("on_reading", text=text) for text in notices if text and not (blind and text.startswith("mag_"))]
-    return report(str(path), len(telemetry), [*how, *order, *inner, *said])
+    return report(str(path), table.time.size, [*how, *order, *inner, *said])
 
 
 def _read(
@@ -277,7 +277,7 @@ def _ordered(table: FileTable) -> tuple[FileTable, list[Finding]]:
     rivals, doubles = rows[~is_first & ~equal], rows[~is_first & equal]
     findings = []
     if doubles.size:
-        findings.append(note("duplicates_dropped", np.sort(doubles), count=doubles.size))
+        findings.append(note("duplicates_dropped", np.sort(doubles), count=doubles.size, rows=table.time.size))
     if rivals.size:
         findings.append(trap("conflicting_rows", np.sort(rivals), count=rivals.size))
     keep = rows[is_first]

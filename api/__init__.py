@@ -31,12 +31,13 @@ The parts are in `fluxtwin.sim`, `fluxtwin.calib`, `fluxtwin.gap`, `fluxtwin.plo
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING
 
 if __name__ == "api":
     raise ImportError("import fluxtwin, never the bare folder name: two copies of every class would exist")
 
-from fluxtwin.sim.base.doors import door
+from fluxtwin.sim.base.doors import as_verb, door
 
 if TYPE_CHECKING:
     from fluxtwin.calib.checks.check import repair as repair
@@ -98,7 +99,7 @@ _HOMES = {
     "calib.common.records": "Calibration",
     "sim.base.errors": "FluxtwinError BadInput NoAnswer OutOfRange",
 }
-__getattr__, _ = door(__name__, **_HOMES)
+__getattr__, _ = door(__name__, partial(as_verb, __name__), **_HOMES)
 __all__ = ["__version__", *(name.rpartition(":")[2] for names in _HOMES.values() for name in names.split())]
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypedDict, Unpack
 
@@ -23,7 +23,7 @@ from fluxtwin.gap.records.diagnosis import Diagnosis
 from fluxtwin.gap.report import input_warnings, words
 from fluxtwin.notebook import usual
 from fluxtwin.scenarios.packaged import as_scenario
-from fluxtwin.sim.base.errors import BadInput, NoAnswer, names_in, nearest
+from fluxtwin.sim.base.errors import BadInput, NoAnswer, names_in
 from fluxtwin.sim.base.progress import Progress
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.earth.field_models import load_field
@@ -76,11 +76,7 @@ def with_assumed(verb: F) -> F:
 
 
 def declared_in(options: Mapping[str, Any]) -> Declared:
-    """What is declared among the options. Raises BadInput for an error that cannot be, TypeError for another option."""
-    known = [one.name for one in fields(Declared)]
-    for name in options:
-        if name not in known:
-            raise TypeError(f"{name!r} is no keyword of this verb{nearest(name, known)}")
+    """What is declared among the options. Raises BadInput for an error that cannot be."""
     declared = Declared(**options)
     for name, most in _MOST.items():
         value = getattr(declared, name)
@@ -166,7 +162,7 @@ def diagnose(
 def close(
     diagnosis: Diagnosis,
     *,
-    scenario: Path | str | None,
+    scenario: Scenario | Path | str | None,
     telemetry: Path | str,
     column_map: Path | str | None = None,
     declared: Declared | None = None,

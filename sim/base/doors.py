@@ -3,14 +3,24 @@
 from __future__ import annotations
 
 import importlib
+import inspect
+import os
+import re
+import reprlib
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
+from functools import partial, wraps
+from numbers import Integral, Real
 from typing import Any
 
+from fluxtwin.sim.base.errors import BadInput, kind_of, nearest
 
-def door(package: str, **modules: str) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
+
+def door(
+    package: str, through: Callable[[str, Any], Any] = lambda name, value: value, /, **modules: str
+) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
     """`__getattr__` and `__dir__` of `package`. modules: names to re-export, parted by blanks, by the module they are in;
-    `a:b` is called b here.
+    `a:b` is called b here. through: what is done to each, with its name.
 
     To import all of them at once would make every start as slow as the slowest of them.
     """
@@ -25,8 +35,94 @@ def door(package: str, **modules: str) -> tuple[Callable[[str], Any], Callable[[
         if name not in homes:
             raise AttributeError(f"{package} has no {name!r}; it has {', '.join(homes)}")
         module, own = homes[name]
-        value = getattr(importlib.import_module(module), own)
+        value = through(name, getattr(importlib.import_module(module), own))
         setattr(sys.modules[package], name, value)
         return value
 
     return get, lambda: sorted({*vars(sys.modules[package]), *homes})
+
+
+def as_verb(package: str, name: str, value: Any) -> Any:
+    """A function as others call it: what it is given is held against its signature.
+
+    None for a keyword that has another default means that default. Raises BadInput for an argument of the wrong type, and
+    TypeError, with the nearest keyword, for one that there is not.
+    """
+    if not inspect.isfunction(value):
+        return value
+    own = inspect.signature(value)
+    known = own.parameters
+
+    @wraps(value)
+    def verb(*arguments: Any, **keywords: Any) -> Any:
+        try:
+            bound = own.bind(*arguments, **keywords)
+        except TypeError as error:
+            hints = [nearest(one, known, "; did you mean {}?") for one in keywords if one not in known]
+            raise TypeError(f"{package}.{name}: {error}{''.join(hints[:1])}") from None
+        for one, given in list(bound.arguments.items()):
+            if given is None and known[one].default not in (None, inspect.Parameter.empty):
+                del bound.arguments[one]
+            else:
+                _require_kind(one, given, str(known[one].annotation))
+        return value(*bound.args, **bound.kwargs)
+
+    verb.__module__, verb.__name__, verb.__qualname__ = package, name, name  # as it is found again in another process
+    return verb
+
+
+def _is_bool(given: Any) -> bool:
+    return type(given).__name__ in ("bool", "bool_")  # numpy's too
+
+
+def _is_of(name: str, given: Any) -> bool:
+    return name in [one.__name__ for one in type(given).__mro__]  # the class itself is imported where it is used
+
+
+def _are_names(given: Any) -> bool:
+    plain = not isinstance(given, list | tuple) or all(isinstance(one, str) for one in given)
+    return isinstance(given, Iterable) and plain
+
+
+def _are_numbers(given: Any) -> bool:
+    import numpy as np
+
+    try:
+        return np.asarray(given).dtype.kind in "iuf"
+    except ValueError:  # rows of different lengths
+        return False
+
+
+_KINDS: dict[str, tuple[str, Callable[[Any], bool]]] = {
+    "float": ("one number", lambda given: isinstance(given, Real) and not _is_bool(given)),
+    "int": ("a whole number", lambda given: isinstance(given, Integral) and not _is_bool(given)),
+    "bool": ("True or False", _is_bool),
+    "str": ("text", lambda given: isinstance(given, str)),
+    "Path": ("a path", lambda given: isinstance(given, str | os.PathLike)),
+    "Sequence[str]": ("a list of names", _are_names),
+    "Mapping[str, Any]": ("a dict", lambda given: isinstance(given, Mapping)),
+    "FloatArray": ("an array of numbers", _are_numbers),
+    "Progress": ("a function", callable),
+    "Callable[[str], None]": ("a function", callable),
+    "Executor": ("an executor", lambda given: hasattr(given, "submit")),
+    "None": ("None", lambda given: given is None),
+} | {
+    name: (f"a {name}", partial(_is_of, name))
+    for name in ("Declared", "Diagnosis", "FieldModel", "LimitsSection", "World")
+}
+"""What an argument may be, by its annotation: in words, and whether something is that. What has no row the verb judges."""
+_UNIT = re.compile(r"_(nT|deg|s|h|km)$")
+
+
+def _require_kind(name: str, given: Any, annotation: str) -> None:
+    parts = annotation.split(" | ")
+    if not set(parts) <= set(_KINDS) or any(_KINDS[part][1](given) for part in parts):
+        return
+    words = [_KINDS[part][0] for part in parts if not (part == "str" and "Path" in parts)]
+    unit = _UNIT.search(name)
+    wanted = " or ".join([words[0] + (f" [{unit[1]}]" if unit else ""), *words[1:]])
+    if words[0] == "text" and isinstance(given, list | tuple) and _are_names(given):
+        wanted = f"text, as {','.join(given)!r}"
+    plain = type(given).__module__ == "builtins"
+    said = f"{reprlib.repr(given)} is not {words[0]}" if plain else f"an object of type {kind_of(given)} was given"
+    raise BadInput(said, where=name, wanted=wanted)

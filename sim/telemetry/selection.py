@@ -141,6 +141,8 @@ def selected(
 
 def condition(text: str, place: str = "--where") -> Condition:
     """The condition that `text` states. Raises BadInput, with the place where it was given and the part that is none."""
+    if not isinstance(text, str):
+        raise BadInput(f"{clip(repr(text))} is not text", where=place, wanted=_EXAMPLE)
     if len(text) > _LONGEST:
         raise BadInput(f"has {len(text)} characters", where=place, wanted=f"at most {_LONGEST}")
     if text.count("(") > _DEEPEST:

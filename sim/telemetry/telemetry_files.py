@@ -10,7 +10,7 @@ from typing import Any, Protocol, TypeAlias, TypedDict
 
 import numpy as np
 
-from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.errors import BadInput, kind_of
 from fluxtwin.sim.base.files import is_stream
 from fluxtwin.sim.base.limits import MAX_SAMPLES
 from fluxtwin.sim.telemetry.columns import FileTable
@@ -84,6 +84,8 @@ def read_telemetry(
     from fluxtwin.sim.telemetry.build import record
     from fluxtwin.sim.telemetry.selection import selection
 
+    if max_samples is not None and max_samples < 1:
+        raise BadInput(f"{max_samples}", where="max_samples", wanted="1 or more")
     given = as_path(path) if is_path(path) else _table(path)
     chosen = selection(start, end, where)
     if column_map is not None:
@@ -104,7 +106,7 @@ def _table(given: Any) -> Table:
     """A table of pandas or xarray as ours; raises BadInput for anything else."""
     from fluxtwin.sim.telemetry.formats import frame
 
-    kind = _kind_of(given)
+    kind = kind_of(given)
     if kind == "pandas DataFrame":
         return frame.of_pandas(given)
     if kind == "xarray Dataset":
@@ -117,11 +119,7 @@ def as_path(given: Any, where: str = "telemetry", wanted: str = _READABLE) -> Pa
     """`given` as the path of a file; raises BadInput that says what it is instead, and what is wanted in its place."""
     if isinstance(given, str | os.PathLike):
         return Path(given)
-    raise BadInput(f"an object of type {_kind_of(given)} was given", where=where, wanted=wanted)
-
-
-def _kind_of(given: Any) -> str:
-    return f"{type(given).__module__.partition('.')[0]} {type(given).__name__}".removeprefix("builtins ")
+    raise BadInput(f"an object of type {kind_of(given)} was given", where=where, wanted=wanted)
 
 
 def read_table(path: Path | str | Table, *, max_samples: int = MAX_SAMPLES, others: Sequence[str] = ()) -> FileTable:
@@ -147,7 +145,7 @@ def write_telemetry(telemetry: Telemetry, path: Path | str) -> Path:
     given: object = telemetry
     if not isinstance(given, Telemetry):
         wanted = "a fluxtwin.Telemetry (`simulate` returns two: the telemetry and the truth)"
-        raise BadInput(f"an object of type {_kind_of(given)} was given", where="telemetry", wanted=wanted)
+        raise BadInput(f"an object of type {kind_of(given)} was given", where="telemetry", wanted=wanted)
     telemetry = telemetry.with_magnetometer(1)
     found = None if is_stream(path) else format_of(path)
     if found is not None:

@@ -99,7 +99,10 @@ _HOMES = {
     "calib.common.records": "Calibration",
     "sim.base.errors": "FluxtwinError BadInput NoAnswer OutOfRange",
 }
-__getattr__, _ = door(__name__, partial(as_verb, __name__), **_HOMES)
+_FLAGS = {"map": "column_map", "from": "start", "to": "end", "every": "every_h", "for": "names", "chunk": "in_chunk"}
+_FLAGS |= {"lat": "lat_deg", "lon": "lon_deg"}
+"""The keywords of verbs whose options have another name."""
+__getattr__, _ = door(__name__, partial(as_verb, __name__, flags=_FLAGS), **_HOMES)
 __all__ = ["__version__", *(name.rpartition(":")[2] for names in _HOMES.values() for name in names.split())]
 
 

@@ -13,7 +13,7 @@ from functools import partial, wraps
 from numbers import Integral, Real
 from typing import Any
 
-from fluxtwin.sim.base.errors import BadInput, kind_of, nearest
+from fluxtwin.sim.base.errors import BadInput, FluxtwinError, kind_of, nearest
 
 
 def door(
@@ -42,11 +42,12 @@ def door(
     return get, lambda: sorted({*vars(sys.modules[package]), *homes})
 
 
-def as_verb(package: str, name: str, value: Any) -> Any:
-    """A function as others call it: what it is given is held against its signature.
+def as_verb(package: str, name: str, value: Any, flags: Mapping[str, str]) -> Any:
+    """A function as others call it: what it is given is held against its signature, and its refusals name keywords.
 
-    None for a keyword that has another default means that default. Raises BadInput for an argument of the wrong type, and
-    TypeError, with the nearest keyword, for one that there is not.
+    None for a keyword that has another default means that default. flags: the keyword that an option of the command line
+    stands for, where it is spelled otherwise. Raises BadInput for an argument of the wrong type, and TypeError, with the
+    nearest keyword, for one that there is not.
     """
     if not inspect.isfunction(value):
         return value
@@ -65,7 +66,13 @@ def as_verb(package: str, name: str, value: Any) -> Any:
                 del bound.arguments[one]
             else:
                 _require_kind(one, given, str(known[one].annotation))
-        return value(*bound.args, **bound.kwargs)
+        try:
+            return value(*bound.args, **bound.kwargs)
+        except FluxtwinError as error:
+            error.args = tuple(_as_keywords(text, known, flags) for text in error.args)
+            if isinstance(error, BadInput):
+                error.where, error.wanted = (_as_keywords(text, known, flags) for text in (error.where, error.wanted))
+            raise
 
     verb.__module__, verb.__name__, verb.__qualname__ = package, name, name  # as it is found again in another process
     return verb
@@ -126,3 +133,16 @@ def _require_kind(name: str, given: Any, annotation: str) -> None:
     plain = type(given).__module__ == "builtins"
     said = f"{reprlib.repr(given)} is not {words[0]}" if plain else f"an object of type {kind_of(given)} was given"
     raise BadInput(said, where=name, wanted=wanted)
+
+
+def _as_keywords(text: Any, known: Mapping[str, inspect.Parameter], flags: Mapping[str, str]) -> Any:
+    """The text with the keywords in place of the options of the command line that they are, where the verb has them."""
+
+    def keyword(flag: re.Match[str]) -> str:
+        name = flag[1].replace("-", "_")
+        one = known.get(name) or known.get(flags.get(name, ""))
+        if one is None:
+            return flag[0]
+        return f"{one.name}=True" if one.annotation == "bool" else one.name
+
+    return re.sub(r"--([a-z][\w-]*)", keyword, text) if isinstance(text, str) else text

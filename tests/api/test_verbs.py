@@ -181,6 +181,29 @@ def test_a_misspelled_keyword_costs_a_hint(verb: str) -> None:
         getattr(fluxtwin, verb)()
 
 
+def test_a_refusal_names_keywords_not_options(flown: str, tmp_path: Path) -> None:
+    record = fluxtwin.read(flown)
+    mine = fluxtwin.calibrate(record).calibration
+    for call, said in (
+        (
+            lambda: fluxtwin.read(flown, start="2030-01-01", end="2029-01-01"),
+            "end 2029-01-01T00:00:00Z: is not after start.",
+        ),
+        (lambda: fluxtwin.calibrate(record, method="mine"), "method: 'mine' is not a method"),
+        (
+            lambda: fluxtwin.calibrate(record, method="gyro", sun_sigma_deg=1.0),
+            "method batch or iterative or recursive, or",
+        ),
+        (lambda: fluxtwin.apply(fluxtwin.apply(record, mine), mine), "force=True corrects them once more"),
+        (lambda: fluxtwin.trend(record, every_h=-1.0), "every_h: -1"),
+        (lambda: fluxtwin.plan(record, names="biass"), "names: no effect is called"),
+        (lambda: fluxtwin.draft_map(tmp_path), str(tmp_path)),
+    ):
+        with pytest.raises(fluxtwin.FluxtwinError) as refused:
+            call()
+        assert said in str(refused.value) and "--" not in str(refused.value)
+
+
 def test_a_verb_can_be_sent_to_another_process() -> None:
     for name in fluxtwin.__all__[1:]:
         assert pickle.loads(pickle.dumps(getattr(fluxtwin, name))) is getattr(fluxtwin, name)

@@ -102,7 +102,17 @@ _HOMES = {
 _FLAGS = {"map": "column_map", "from": "start", "to": "end", "every": "every_h", "for": "names", "chunk": "in_chunk"}
 _FLAGS |= {"lat": "lat_deg", "lon": "lon_deg"}
 """The keywords of verbs whose options have another name."""
-__getattr__, _ = door(__name__, partial(as_verb, __name__, flags=_FLAGS), **_HOMES)
+_LINES = {
+    "telemetry": "the path of a file, a record, a pandas DataFrame or an xarray Dataset.",
+    "calibration": "one, as the `.calibration` of a fit, or the path of its file.",
+    "scenario": "one, the path of its file, or the name of a packaged one.",
+    "field": "the field model: igrf14, igrf1975, chaos:FILE, or one that `fluxtwin.load_field` returned.",
+    "degree": "the highest degree of it that is used; None for all.",
+    "force": "do also what a message refuses.",
+    "progress": "takes words and the fraction done, 0 to 1, while it works; None: a line in a notebook, nothing elsewhere.",
+}
+"""What is said of a parameter in the help of verbs that do not say more."""
+__getattr__, _ = door(__name__, partial(as_verb, __name__, flags=_FLAGS, lines=_LINES), **_HOMES)
 __all__ = ["__version__", *(name.rpartition(":")[2] for names in _HOMES.values() for name in names.split())]
 
 

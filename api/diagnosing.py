@@ -169,8 +169,11 @@ def close(
 ) -> tuple[Diagnosis, Scenario | None]:
     """The diagnosis with its transfers, and the scenario with the named effects in it; None when nothing was named.
 
-    telemetry: the path of the file that was diagnosed, and column_map that of its map. scenario: the one that the effects
-    are put into; without it the new one replays the telemetry, with the noise that was declared.
+    diagnosis: of `fluxtwin.diagnose`.
+    scenario: the one that the effects are put into; None makes one that replays the telemetry.
+    telemetry: the path of the file that was diagnosed.
+    column_map: the path of its map.
+    declared: the noise and field that the diagnosis was told, as a `fluxtwin.diagnosing.Declared`; None where it found them.
     """
     closure = diagnosis.closure
     if closure is None or closure.empty:

@@ -119,8 +119,10 @@ def as_calibration(calibration: Calibration | Path | str) -> Calibration:
 
 @with_reading
 def convert(telemetry: Readable, out: Path | str, **reading: Unpack[Reading]) -> Path:
-    """Write telemetry in the format that the name `out` ends in, whatever it is read from. As `fluxtwin.write` it replaces a
-    file that is there. Returns the path."""
+    """Write telemetry in the format that the name ends in, whatever it is read from. Returns the path.
+
+    out: as the path of `fluxtwin.write`; a file that is there is replaced.
+    """
     return write_telemetry(as_record(telemetry, **reading), out)
 
 
@@ -228,8 +230,12 @@ def attitude(
     """Three-axis attitude from field, horizon scanner and sun (or reference attitude), by night from field and scanner.
 
     calibration: None for a record that `apply` has corrected.
+    noise_nT: white noise of a reading per axis, rounding included, 1 sigma [nT].
+    attitude_sigma_deg: error of the scanner, or of the reference attitude, per axis, 1 sigma [deg].
+    attitude_tau_s: its time constant [s]; 0 for white.
+    sun_sigma_deg: white noise of the sun vector, 1 sigma [deg].
 
-    The errors that are None are found in the data; see `fluxtwin.calib.attitude.estimate_attitude`. `.holds` of the answer
+    The errors that are None are found in the data. `.holds` of the answer
     says whether its innovations are consistent. Raises BadInput as `apply` does, and NoAnswer where the attitude cannot be
     started.
     """
@@ -345,14 +351,21 @@ def yaw(
 
 
 def effects(name: str | None = None) -> tuple[Effect, ...]:
-    """The catalogue of what reality may do that a simulation lacks, or the effect of a name. Raises BadInput if unknown."""
+    """The catalogue of what reality may do that a simulation lacks.
+
+    name: of one effect, which is then the only one. Raises BadInput where it is unknown.
+    """
     from fluxtwin.sim.effects.catalogue import CATALOGUE, find_effect
 
     return CATALOGUE if name is None else (find_effect(name, where="effects"),)
 
 
 def passes(scenario: Scenario | Path | str, stations: Path | str | None = None) -> list[dict[str, Any]]:
-    """Every pass over the scenario's [station.NAME], or those of the file `stations`: rise, set, highest elevation."""
+    """Every pass over ground stations: rise and set in UTC, highest elevation [deg].
+
+    stations: the path of a file of [station.NAME] sections; None for the scenario's own. Raises BadInput where there are
+    none.
+    """
     from fluxtwin.sim.run.scenario_passes import list_passes
 
     return list_passes(with_stations(scenario, stations))
@@ -374,7 +387,10 @@ def with_stations(scenario: Scenario | Path | str, stations: Path | str | None) 
 
 
 def draft_map(files: Path | str | Sequence[Path | str]) -> str:
-    """A first column map, as TOML, from the headers of foreign files; what was guessed is marked "to be confirmed"."""
+    """A first column map, as TOML; what was guessed is marked "to be confirmed".
+
+    files: the path of a foreign file, or several of one spacecraft, of which the headers are read. Raises BadInput for none.
+    """
     from fluxtwin.sim.telemetry import column_map_draft
 
     given = list(files) if isinstance(files, Sequence) and not isinstance(files, str) else [files]

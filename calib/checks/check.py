@@ -216,7 +216,10 @@ def _read(
 
 
 def repair(path: Path | str, out: Path | str, *, max_samples: int | None = None) -> CheckReport:
-    """Write `out` with the rows of `path` sorted by time and exact duplicates dropped; the rest is reported.
+    """Write a file with the rows of another sorted by time and exact duplicates dropped; the rest is reported.
+
+    path: of the file that is read, with the columns of docs/telemetry.md. out: as the path of `fluxtwin.write`.
+    max_samples: the largest number of rows to read; None for 5,000,000.
 
     Rows without a time, and rows that repeat a time with other values, do not belong in a record;
     they are left out and named. Raises BadInput when `out` is the input, or nothing is left.

@@ -103,7 +103,7 @@ OPTIONS = {
         wanted="degrees, positive, below 90",
     ),
     "sun_alignment_deg": Option(
-        "How well the mounting of the sun sensor is known; iterative; default: 0.05.",
+        "How well the mounting of the sun sensor is known, 1 sigma [deg]; iterative; default: 0.05.",
         float,
         "DEG",
         allowed=lambda value: 0.0 < value < 90.0,

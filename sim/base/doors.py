@@ -42,12 +42,12 @@ def door(
     return get, lambda: sorted({*vars(sys.modules[package]), *homes})
 
 
-def as_verb(package: str, name: str, value: Any, flags: Mapping[str, str]) -> Any:
+def as_verb(package: str, name: str, value: Any, flags: Mapping[str, str], lines: Mapping[str, str]) -> Any:
     """A function as others call it: what it is given is held against its signature, and its refusals name keywords.
 
     None for a keyword that has another default means that default. flags: the keyword that an option of the command line
-    stands for, where it is spelled otherwise. Raises BadInput for an argument of the wrong type, and TypeError, with the
-    nearest keyword, for one that there is not.
+    stands for, where it is spelled otherwise. lines: what is said of a parameter that the docstring does not explain. Raises
+    BadInput for an argument of the wrong type, and TypeError, with the nearest keyword, for one that there is not.
     """
     if not inspect.isfunction(value):
         return value
@@ -74,6 +74,14 @@ def as_verb(package: str, name: str, value: Any, flags: Mapping[str, str]) -> An
                 error.where, error.wanted = (_as_keywords(text, known, flags) for text in (error.where, error.wanted))
             raise
 
+    shown = [
+        one.replace(default=None, annotation=f"{one.annotation} | None") if inspect.isfunction(one.default) else one
+        for one in known.values()
+    ]
+    verb.__signature__ = own.replace(parameters=shown)  # type: ignore[attr-defined]
+    said = inspect.getdoc(value) or ""
+    added = [f"{one}: {lines[one]}" for one in known if one in lines and not re.search(rf"\b{one}(, \w+)*: ", said)]
+    verb.__doc__ = "\n\n".join([said, *filter(None, ["\n".join(added)])])
     verb.__module__, verb.__name__, verb.__qualname__ = package, name, name  # as it is found again in another process
     return verb
 

@@ -69,8 +69,7 @@ def read_telemetry(
 ) -> Telemetry:
     """The record in `path`: a file with the columns of the contract, or a foreign file or folder with `column_map`.
 
-    A DataFrame or a Dataset is taken as it is, with units in the names or attributes of its columns.
-
+    path: a DataFrame or a Dataset is taken as it is, with units in the names or attributes of its columns.
     column_map: TOML that says which columns hold what, in which units and frames; or "preset:NAME".
     tle: two-line elements or a CCSDS OEM: positions where the file has none.
     attitude: a CCSDS AEM: attitudes where the file has none.
@@ -84,9 +83,9 @@ def read_telemetry(
     from fluxtwin.sim.telemetry.build import record
     from fluxtwin.sim.telemetry.selection import selection
 
+    given = as_path(path) if is_path(path) else _table(path)
     if max_samples is not None and max_samples < 1:
         raise BadInput(f"{max_samples}", where="max_samples", wanted="1 or more")
-    given = as_path(path) if is_path(path) else _table(path)
     chosen = selection(start, end, where)
     if column_map is not None:
         from fluxtwin.sim.telemetry.column_map import mapped_table
@@ -139,6 +138,8 @@ def read_table(path: Path | str | Table, *, max_samples: int = MAX_SAMPLES, othe
 
 def write_telemetry(telemetry: Telemetry, path: Path | str) -> Path:
     """Write the record to `path`, in the format of its ending, atomically; CSV to a device or pipe. Returns the path.
+
+    path: ends in .nc, .csv, .csv.gz, .xlsx, .parquet, .cdf, .aem or .oem; a file that is there is replaced.
 
     Each magnetometer's readings go into its own columns. Raises BadInput for anything but a record.
     """

@@ -58,3 +58,13 @@ def test_a_door_says_what_it_has() -> None:
     assert "Orbit" in listed()
     with pytest.raises(AttributeError, match="has no 'Planet'; it has Orbit"):
         get("Planet")
+
+
+def test_help_explains_every_parameter() -> None:
+    for name in fluxtwin.__all__:
+        verb = getattr(fluxtwin, name)
+        if inspect.isfunction(verb):
+            said = inspect.getdoc(verb) or ""
+            unsaid = [one for one in inspect.signature(verb).parameters if not re.search(rf"\b{one}(, \w+)*: ", said)]
+            assert not unsaid, f"fluxtwin.{name}"
+            assert "<function" not in str(inspect.signature(verb)), name

@@ -114,7 +114,7 @@ def test_the_interval_is_wilsons() -> None:
 
 
 def test_what_makes_no_campaign_is_said(tmp_path: Path) -> None:
-    with pytest.raises(BadInput, match=r"^--runs: 0 runs"):
+    with pytest.raises(BadInput, match=r"^runs: 0 runs"):
         fluxtwin.campaign(parse_scenario(TEXT), 0, tmp_path / "x")
     with pytest.raises(BadInput, match="processes"):
         fluxtwin.campaign(parse_scenario(TEXT), 2, tmp_path / "x", jobs=0)

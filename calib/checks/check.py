@@ -41,6 +41,8 @@ RECOGNISED = "recognised_layout"
 """Code of the note that a packaged column map was used."""
 POSITION_TRAPS = {"position_frame", "position_inside_earth"}
 """With these nothing else can be compared with the field model."""
+_VAGUE = {"field_mismatch", "vector_mismatch", "outliers"}
+"""Traps that name no cause."""
 _QUIET_ROWS = 100
 """As many as the comparison with the field takes at once: with fewer it says little."""
 __all__ = ["RECOGNISED", "CheckReport", "Finding", "check_file", "check_telemetry", "repair"]
@@ -141,8 +143,10 @@ def _against_field(telemetry: Telemetry, model: FieldModel, usable: BoolArray) -
     if not on.any() or int(quiet.sum()) < _QUIET_ROWS:
         return usable, found
     again = check_field(telemetry, model, quiet)
-    if any(finding.severity == "trap" and finding.code != "outliers" for finding in again):
-        return usable, found
+    named = {finding.code for finding in again if finding.severity == "trap"} - {"outliers"}
+    if named:  # a cause that the quiet rows have, beside which a mere misfit in all rows says nothing
+        vague = {finding.code for finding in found if finding.severity == "trap"} <= _VAGUE and not named & _VAGUE
+        return (quiet, again) if vague else (usable, found)
     posed = comparable(telemetry, model, usable, with_attitude=True)
     if posed is not None:  # their field is fitted then, so that all rows can be looked at
         again = [finding for finding in again if finding.code not in ("outliers", "rough_readings")]

@@ -13,6 +13,7 @@ from worlds import TUMBLING, tumbling
 
 import fluxtwin
 from fluxtwin import campaigning
+from fluxtwin.campaign_page import sentences
 from fluxtwin.campaign_scores import summarise, wilson
 from fluxtwin.campaigning import one_run
 from fluxtwin.scenarios.packaged import as_scenario
@@ -105,6 +106,16 @@ def test_the_size_that_is_named_in_nine_of_ten_is_found() -> None:
     for run in wrong:
         run["effects"] = {}
     assert summarise("x", 1, wrong)["false_names"]["bias_step"] > 10
+
+
+def test_few_runs_do_not_contradict_the_sigmas() -> None:
+    """12 errors have squares of 0.37 to 1.94 times their expectation in 95 % of cases (chi squared: 4.404 to 23.337)."""
+    fit = {"why": "", "parameters": {f"p{k}": [1.0, 1.0] for k in range(12)}, "nees": 1.3}
+    run = {"run": 0, "lost": "", "effects": {}, "calibration": fit, "diagnosis": {"why": "no", "names": []}}
+    for runs, words in ((1, "agree with its sigmas"), (200, "do not agree with its sigmas")):
+        found = summarise("x", 1, [run] * runs)
+        assert f"The errors of the calibration {words}" in " ".join(sentences(found))
+    assert summarise("x", 1, [run])["sigmas"]["nees_by_chance"] == pytest.approx([4.404 / 12, 23.337 / 12], abs=1e-4)
 
 
 def test_the_interval_is_wilsons() -> None:

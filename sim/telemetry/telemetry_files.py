@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from dataclasses import replace
 from datetime import date
 from pathlib import Path
 from typing import Any, Protocol, TypeAlias, TypedDict
@@ -90,9 +91,11 @@ def read_telemetry(
     if column_map is not None:
         from fluxtwin.sim.telemetry.column_map import mapped_table
 
-        table = mapped_table(given, column_map, tle=tle, max_samples=max_samples or MAX_SAMPLES)
-        return record(chosen.cut(table), attitude=attitude).with_magnetometer(magnetometer)
-    table = read_table(given, max_samples=max_samples or MAX_SAMPLES, others=chosen.columns)
+        table, tle = mapped_table(given, column_map, tle=tle, max_samples=max_samples or MAX_SAMPLES), None
+    else:
+        table = read_table(given, max_samples=max_samples or MAX_SAMPLES, others=chosen.columns)
+    if isinstance(given, Path):
+        table = replace(table, origin=replace(table.origin, path=os.path.realpath(given)))
     return record(chosen.cut(table), tle=tle, attitude=attitude).with_magnetometer(magnetometer)
 
 
@@ -139,14 +142,17 @@ def read_table(path: Path | str | Table, *, max_samples: int = MAX_SAMPLES, othe
 def write_telemetry(telemetry: Telemetry, path: Path | str) -> Path:
     """Write the record to `path`, in the format of its ending, atomically; CSV to a device or pipe. Returns the path.
 
-    path: ends in .nc, .csv, .csv.gz, .xlsx, .parquet, .cdf, .aem or .oem; a file that is there is replaced.
+    path: ends in .nc, .nc4, .h5, .csv, .csv.gz, .xlsx, .parquet, .aem or .oem; a file that is there is replaced.
 
-    Each magnetometer's readings go into its own columns. Raises BadInput for anything but a record.
+    Each magnetometer's readings go into its own columns. Raises BadInput for anything but a record, and for the file that
+    the record was read from.
     """
     given: object = telemetry
     if not isinstance(given, Telemetry):
         wanted = "a fluxtwin.Telemetry (`simulate` returns two: the telemetry and the truth)"
         raise BadInput(f"an object of type {kind_of(given)} was given", where="telemetry", wanted=wanted)
+    if telemetry.origin.path == os.path.realpath(path) and os.path.exists(path):
+        raise BadInput("this record was read from it", where=str(path), wanted="another name; inputs are kept")
     telemetry = telemetry.with_magnetometer(1)
     found = None if is_stream(path) else format_of(path)
     if found is not None:

@@ -205,6 +205,31 @@ def test_a_refusal_names_keywords_not_options(flown: str, tmp_path: Path) -> Non
 
 
 def test_a_verb_can_be_sent_to_another_process() -> None:
+def test_no_verb_writes_over_what_it_has_read(flown: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    fluxtwin.convert(flown, "t.csv")
+    before = Path("t.csv").read_bytes()
+    part = fluxtwin.read("t.csv")[:100].replace(sunlit=None)
+    for call in (
+        lambda: fluxtwin.convert("t.csv", "./t.csv"),
+        lambda: fluxtwin.write(part, tmp_path / "t.csv"),
+        lambda: fluxtwin.repair("t.csv", "t.csv"),
+    ):
+        with pytest.raises(fluxtwin.BadInput, match="Wanted: another name"):
+            call()
+    assert Path("t.csv").read_bytes() == before
+    for _ in range(2):  # another file is replaced, though it holds the same
+        fluxtwin.write(fluxtwin.read("t.csv"), "copy.csv")
+
+
+def test_a_warning_points_at_who_asked(known: tuple[fluxtwin.Telemetry, Any]) -> None:
+    record, fit = known
+    later = record.replace(time=record.time + np.timedelta64(1, "D"))
+    with pytest.warns(UserWarning, match="of another time") as seen:
+        fluxtwin.apply(later, fit.calibration)
+    assert {one.filename for one in seen} == {__file__}
+
+
     for name in fluxtwin.__all__[1:]:
         assert pickle.loads(pickle.dumps(getattr(fluxtwin, name))) is getattr(fluxtwin, name)
 

@@ -33,7 +33,7 @@ def door(
 
     def get(name: str) -> Any:
         if name not in homes:
-            raise AttributeError(f"{package} has no {name!r}; it has {', '.join(homes)}")
+            raise AttributeError(f"{package} has no {name!r}{nearest(name, homes)}; it has {', '.join(homes)}")
         module, own = homes[name]
         value = through(name, getattr(importlib.import_module(module), own))
         setattr(sys.modules[package], name, value)

@@ -136,7 +136,8 @@ def test_an_unguarded_script_flies_an_ensemble_in_processes(tmp_path: Path) -> N
         (lambda record, fit: record[["mag_x_nT"]], "['mag_x_nT'] chooses no rows"),
         (lambda record, fit: record[np.ones(5, dtype=bool)], "size of axis is 1801"),
         (lambda record, fit: record[:, 1], "Wanted: a mask, indices or times"),
-        (lambda record, fit: record.where(5), "5 is not text"),
+        (lambda record, fit: record.where(5), "where: 5 is not text"),
+        (lambda record, fit: record.between("2027"), "start: '2027' is not a time"),
         (lambda record, fit: fluxtwin.follow(3), "an object of type int was given"),
         (lambda record, fit: fit.calibration.apply("x"), "mag_B_nT: is no array of numbers"),
         (lambda record, fit: fluxtwin.attitude(record, noise_nT="5"), "noise_nT: '5' is not one number"),
@@ -204,7 +205,6 @@ def test_a_refusal_names_keywords_not_options(flown: str, tmp_path: Path) -> Non
         assert said in str(refused.value) and "--" not in str(refused.value)
 
 
-def test_a_verb_can_be_sent_to_another_process() -> None:
 def test_no_verb_writes_over_what_it_has_read(flown: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     fluxtwin.convert(flown, "t.csv")
@@ -230,6 +230,7 @@ def test_a_warning_points_at_who_asked(known: tuple[fluxtwin.Telemetry, Any]) ->
     assert {one.filename for one in seen} == {__file__}
 
 
+def test_a_verb_can_be_sent_to_another_process() -> None:
     for name in fluxtwin.__all__[1:]:
         assert pickle.loads(pickle.dumps(getattr(fluxtwin, name))) is getattr(fluxtwin, name)
 

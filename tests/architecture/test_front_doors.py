@@ -56,8 +56,9 @@ def test_a_door_says_what_it_has() -> None:
     get, listed = door("fluxtwin.sim.earth", orbit="Orbit")
     assert get("Orbit").__name__ == "Orbit"
     assert "Orbit" in listed()
-    with pytest.raises(AttributeError, match="has no 'Planet'; it has Orbit"):
-        get("Planet")
+    for name, hint in (("Planet", ""), ("orbit", "; did you mean Orbit\\?")):
+        with pytest.raises(AttributeError, match=f"has no '{name}'{hint}; it has Orbit"):
+            get(name)
 
 
 def test_help_explains_every_parameter() -> None:

@@ -164,6 +164,7 @@ def calibrate(
 ) -> Fit:
     """S, b (and T) from one record or several; `.calibration` of the answer is what `apply` takes.
 
+    telemetry: the path of a file, a record, a pandas DataFrame or an xarray Dataset; or several, of different times.
     onboard: what was applied to the readings on board, a calibration or a file that `import_calibration` reads; it is
     undone, so that the answer acts on the sensor's own readings.
 

@@ -36,7 +36,7 @@ from fluxtwin.sim.run.world import ephemeris, schedule_times
 from fluxtwin.sim.scenario.effect_sections import active_effects
 from fluxtwin.sim.scenario.scenario import Scenario
 from fluxtwin.sim.telemetry.record import Telemetry
-from fluxtwin.sim.telemetry.telemetry_files import Readable, Reading, as_path
+from fluxtwin.sim.telemetry.telemetry_files import Readable, Reading
 from fluxtwin.verbs import F, as_record, number_in, on_one_blas_thread, reading_of, with_keywords, with_reading
 
 _MOST = {"noise_nT": 1e6, "lsb_nT": 1e6, "attitude_sigma_deg": 180.0, "attitude_tau_s": 1e9}
@@ -187,7 +187,7 @@ def close(
         found,
         transfers,
         base,
-        as_path(telemetry, "telemetry", "the path of the file that was diagnosed"),
+        Path(telemetry),
         None if column_map is None else Path(column_map),
         declared or Declared(),
     )

@@ -48,9 +48,6 @@ def fleet(
     """
     from fluxtwin.gap.fleet import fleet as together
 
-    if not hasattr(vehicles, "items"):
-        wanted = "a dict of records by the name of the vehicle"
-        raise BadInput(f"an object of type {type(vehicles).__name__} was given", where="vehicles", wanted=wanted)
     if len(vehicles) < 3:
         wanted = "three or more: with two, nothing says which one differs"
         raise BadInput(f"{len(vehicles)} vehicles", where="fleet", wanted=wanted)

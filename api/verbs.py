@@ -6,7 +6,6 @@ import inspect
 from collections.abc import Callable, Iterator, Sequence
 from datetime import date
 from functools import wraps
-from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar, Unpack
 
@@ -44,14 +43,11 @@ def as_model(field: str | FieldModel, degree: int | None = None) -> FieldModel:
     return field if degree is None else field.truncated(degree)
 
 
-def number_in(value: Any, low: float, high: float, where: str) -> float:
-    """One number between the limits; raises BadInput for anything else."""
-    wanted = f"a number from {low:g} to {high:g}"
-    if not isinstance(value, Real):
-        raise BadInput(f"{value!r} is not one number", where=where, wanted=wanted)
+def number_in(value: float, low: float, high: float, where: str) -> float:
+    """A number between the limits; raises BadInput for another."""
     number = float(value)
     if not low <= number <= high:
-        raise BadInput(f"{number:g} is out of range", where=where, wanted=wanted)
+        raise BadInput(f"{number:g} is out of range", where=where, wanted=f"a number from {low:g} to {high:g}")
     return number
 
 

@@ -33,7 +33,7 @@ from fluxtwin.sim.telemetry.column_map import mapped_table, recognised
 from fluxtwin.sim.telemetry.columns import FileTable
 from fluxtwin.sim.telemetry.record import Telemetry
 from fluxtwin.sim.telemetry.selection import Selection, selection
-from fluxtwin.sim.telemetry.telemetry_files import as_path, read_table, write_telemetry
+from fluxtwin.sim.telemetry.telemetry_files import read_table, write_telemetry
 
 ORBIT_SPREAD = 0.15
 """Relative spread of |r| up to an eccentricity of 0.2."""
@@ -228,10 +228,7 @@ def repair(path: Path | str, out: Path | str, *, max_samples: int | None = None)
     Rows without a time, and rows that repeat a time with other values, do not belong in a record;
     they are left out and named. Raises BadInput when `out` is the input, or nothing is left.
     """
-    path = as_path(
-        path, "path", "the path of a file; sort a table in memory, and drop its duplicates, before it is read"
-    )
-    if Path(out).resolve() == path.resolve():
+    if Path(out).resolve() == Path(path).resolve():
         raise BadInput("would overwrite the input", where=str(out), wanted="another name for the repaired file")
     try:
         table = read_table(path, max_samples=max_samples or MAX_SAMPLES)

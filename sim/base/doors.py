@@ -116,6 +116,10 @@ _KINDS: dict[str, tuple[str, Callable[[Any], bool]]] = {
     "Path": ("a path", lambda given: isinstance(given, str | os.PathLike)),
     "Sequence[str]": ("a list of names", _are_names),
     "Mapping[str, Any]": ("a dict", lambda given: isinstance(given, Mapping)),
+    "Mapping[str, Readable]": (
+        "a dict of records by the name of the vehicle",
+        lambda given: isinstance(given, Mapping),
+    ),
     "FloatArray": ("an array of numbers", _are_numbers),
     "Progress": ("a function", callable),
     "Callable[[str], None]": ("a function", callable),

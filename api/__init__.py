@@ -31,12 +31,13 @@ The parts are in `fluxtwin.sim`, `fluxtwin.calib`, `fluxtwin.gap`, `fluxtwin.plo
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING
 
 if __name__ == "api":
     raise ImportError("import fluxtwin, never the bare folder name: two copies of every class would exist")
 
-from fluxtwin.sim.base.doors import door
+from fluxtwin.sim.base.doors import as_verb, door
 
 if TYPE_CHECKING:
     from fluxtwin.calib.checks.check import repair as repair
@@ -98,7 +99,20 @@ _HOMES = {
     "calib.common.records": "Calibration",
     "sim.base.errors": "FluxtwinError BadInput NoAnswer OutOfRange",
 }
-__getattr__, _ = door(__name__, **_HOMES)
+_FLAGS = {"map": "column_map", "from": "start", "to": "end", "every": "every_h", "for": "names", "chunk": "in_chunk"}
+_FLAGS |= {"lat": "lat_deg", "lon": "lon_deg"}
+"""The keywords of verbs whose options have another name."""
+_LINES = {
+    "telemetry": "the path of a file, a record, a pandas DataFrame or an xarray Dataset.",
+    "calibration": "one, as the `.calibration` of a fit, or the path of its file.",
+    "scenario": "one, the path of its file, or the name of a packaged one.",
+    "field": "the field model: igrf14, igrf1975, chaos:FILE, or one that `fluxtwin.load_field` returned.",
+    "degree": "the highest degree of it that is used; None for all.",
+    "force": "do also what a message refuses.",
+    "progress": "takes words and the fraction done, 0 to 1, while it works; None: a line in a notebook, nothing elsewhere.",
+}
+"""What is said of a parameter in the help of verbs that do not say more."""
+__getattr__, _ = door(__name__, partial(as_verb, __name__, flags=_FLAGS, lines=_LINES), **_HOMES)
 __all__ = ["__version__", *(name.rpartition(":")[2] for names in _HOMES.values() for name in names.split())]
 
 

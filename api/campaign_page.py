@@ -30,15 +30,18 @@ def sentences(summary: dict[str, Any]) -> list[str]:
         )
     bare = summary["without_effects"]
     if bare["runs"]:
-        said.append(f"Of {bare['runs']} runs without an effect, {bare['no_gap']} were answered with no gap.")
+        said.append(f"Runs without an effect: {bare['runs']}; answered with no gap: {bare['no_gap']}.")
     false = sum(summary["false_names"].values())
     if summary["diagnosed"]:
-        said.append(f"{summary['diagnosed']} diagnosed runs gave {false or 'no'} false names.")
+        said.append(f"Runs diagnosed: {summary['diagnosed']}; false names in them: {false or 'none'}.")
     nees = summary["sigmas"]["nees"]
     if nees is not None:
+        low, high = summary["sigmas"]["nees_by_chance"]
+        holds = min(low, 0.85) <= nees <= max(high, 1.2)
         said.append(
-            f"The errors of the calibration {'agree' if 0.85 <= nees <= 1.2 else 'do not agree'} with its sigmas: their "
-            f"squares, weighted with the full covariance, are {plain(nees, 2)} times what is stated (1 is right)."
+            f"The errors of the calibration {'agree' if holds else 'do not agree'} with its sigmas: their squares, weighted "
+            f"with the full covariance, are {plain(nees, 2)} times what is stated (1 is right; so many errors give "
+            f"{plain(low, 2)} to {plain(high, 2)} by chance)."
             + (" Effects in the runs, which no calibration models, add to them." if summary["effects"] else "")
         )
     for what, key in (("lost", "lost"), ("not calibrated", "not_calibrated"), ("not diagnosed", "not_diagnosed")):

@@ -51,7 +51,8 @@ def _reasons(words: Sequence[str]) -> dict[str, int]:
 
 
 def _sigmas(runs: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """By parameter: rms of error over sigma, and how many of the errors lie within 1.96 sigma."""
+    """By parameter: rms of error over sigma, and how many of the errors lie within 1.96 sigma; and the mean NEES per
+    parameter, with its 95 % interval where all sigmas are right."""
     fits = [run["calibration"] for run in runs if not run["calibration"]["why"]]
     names = dict.fromkeys(name for fit in fits for name in fit["parameters"])
     out: dict[str, Any] = {}
@@ -64,8 +65,18 @@ def _sigmas(runs: Sequence[dict[str, Any]]) -> dict[str, Any]:
             "inside": inside,
             "interval": wilson(inside, pulls.size),
         }
-    nees = [fit["nees"] for fit in fits if fit["nees"] is not None]
-    return {"parameters": out, "nees": float(np.mean(nees)) if nees else None, "fits": len(fits)}
+    judged = [fit for fit in fits if fit["nees"] is not None]
+    if not judged:
+        return {"parameters": out, "nees": None, "nees_by_chance": None, "fits": len(fits)}
+    from scipy.stats import chi2
+
+    errors = sum(len(fit["parameters"]) for fit in judged)
+    return {
+        "parameters": out,
+        "nees": float(np.mean([fit["nees"] for fit in judged])),
+        "nees_by_chance": [float(chi2.ppf(share, errors)) / errors for share in (0.025, 0.975)],
+        "fits": len(fits),
+    }
 
 
 def is_named(run: dict[str, Any], effect: str) -> bool:

@@ -62,10 +62,11 @@ def campaign(
     resume: bool = False,
     progress: Progress = usual,
 ) -> Campaign:
-    """Fly so many runs of a scenario with [draws], calibrate and diagnose each; the folder `out` keeps the results.
+    """Fly runs of a scenario with [draws], calibrate and diagnose each; a folder keeps the results.
 
-    seed: of all that is random, the scenario's own where not given; jobs, scheduler, executor: as for `ensemble`; resume: go
-    on with what is in the folder. Raises BadInput as `ensemble` does, and NoAnswer where no run came to an end.
+    runs: how many, from 1. out: the path of the folder. seed: of all that is random, the scenario's own where not given;
+    jobs, scheduler, executor: as for `ensemble`; resume: go on with what is in the folder. Raises BadInput as `ensemble`
+    does, and NoAnswer where no run came to an end.
     """
     require_workers(jobs, scheduler)
     folder = Path(out)

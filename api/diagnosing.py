@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypedDict, Unpack
 
@@ -23,7 +23,7 @@ from fluxtwin.gap.records.diagnosis import Diagnosis
 from fluxtwin.gap.report import input_warnings, words
 from fluxtwin.notebook import usual
 from fluxtwin.scenarios.packaged import as_scenario
-from fluxtwin.sim.base.errors import BadInput, NoAnswer, names_in, nearest
+from fluxtwin.sim.base.errors import BadInput, NoAnswer, names_in
 from fluxtwin.sim.base.progress import Progress
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.earth.field_models import load_field
@@ -36,7 +36,7 @@ from fluxtwin.sim.run.world import ephemeris, schedule_times
 from fluxtwin.sim.scenario.effect_sections import active_effects
 from fluxtwin.sim.scenario.scenario import Scenario
 from fluxtwin.sim.telemetry.record import Telemetry
-from fluxtwin.sim.telemetry.telemetry_files import Readable, Reading, as_path
+from fluxtwin.sim.telemetry.telemetry_files import Readable, Reading
 from fluxtwin.verbs import F, as_record, number_in, on_one_blas_thread, reading_of, with_keywords, with_reading
 
 _MOST = {"noise_nT": 1e6, "lsb_nT": 1e6, "attitude_sigma_deg": 180.0, "attitude_tau_s": 1e9}
@@ -76,11 +76,7 @@ def with_assumed(verb: F) -> F:
 
 
 def declared_in(options: Mapping[str, Any]) -> Declared:
-    """What is declared among the options. Raises BadInput for an error that cannot be, TypeError for another option."""
-    known = [one.name for one in fields(Declared)]
-    for name in options:
-        if name not in known:
-            raise TypeError(f"{name!r} is no keyword of this verb{nearest(name, known)}")
+    """What is declared among the options. Raises BadInput for an error that cannot be."""
     declared = Declared(**options)
     for name, most in _MOST.items():
         value = getattr(declared, name)
@@ -166,15 +162,18 @@ def diagnose(
 def close(
     diagnosis: Diagnosis,
     *,
-    scenario: Path | str | None,
+    scenario: Scenario | Path | str | None,
     telemetry: Path | str,
     column_map: Path | str | None = None,
     declared: Declared | None = None,
 ) -> tuple[Diagnosis, Scenario | None]:
     """The diagnosis with its transfers, and the scenario with the named effects in it; None when nothing was named.
 
-    telemetry: the path of the file that was diagnosed, and column_map that of its map. scenario: the one that the effects
-    are put into; without it the new one replays the telemetry, with the noise that was declared.
+    diagnosis: of `fluxtwin.diagnose`.
+    scenario: the one that the effects are put into; None makes one that replays the telemetry.
+    telemetry: the path of the file that was diagnosed.
+    column_map: the path of its map.
+    declared: the noise and field that the diagnosis was told, as a `fluxtwin.diagnosing.Declared`; None where it found them.
     """
     closure = diagnosis.closure
     if closure is None or closure.empty:
@@ -188,7 +187,7 @@ def close(
         found,
         transfers,
         base,
-        as_path(telemetry, "telemetry", "the path of the file that was diagnosed"),
+        Path(telemetry),
         None if column_map is None else Path(column_map),
         declared or Declared(),
     )

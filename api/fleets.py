@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from pathlib import Path
@@ -47,14 +48,15 @@ def fleet(
     """
     from fluxtwin.gap.fleet import fleet as together
 
-    if not hasattr(vehicles, "items"):
-        wanted = "a dict of records by the name of the vehicle"
-        raise BadInput(f"an object of type {type(vehicles).__name__} was given", where="vehicles", wanted=wanted)
     if len(vehicles) < 3:
         wanted = "three or more: with two, nothing says which one differs"
         raise BadInput(f"{len(vehicles)} vehicles", where="fleet", wanted=wanted)
     options = {"scenario": scenario, "modelled": tuple(names_in(modelled)), **assumed}
-    found = diagnoses(vehicles, options, jobs=jobs, scheduler=scheduler, executor=executor, progress=progress)
+    records = {name: as_record(one) for name, one in vehicles.items()}
+    for one, other in itertools.combinations(records, 2):  # noise that is counted twice looks like an effect in common
+        if np.array_equal(records[one].mag_B_nT, records[other].mag_B_nT, equal_nan=True):
+            raise BadInput(f"has the same readings as {one}", where=other, wanted="a record of each vehicle's own")
+    found = diagnoses(records, options, jobs=jobs, scheduler=scheduler, executor=executor, progress=progress)
     return together(list(found), list(found.values()))
 
 

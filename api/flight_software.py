@@ -45,7 +45,9 @@ def export(
 
 
 def import_calibration(path: Path | str, *, instance: int = 1) -> Calibration:
-    """The calibration in a file of flight software (as `export` writes them), or in a calibration file.
+    """The calibration in a file of flight software, or in a calibration file.
+
+    path: of a file as `export` writes them. instance: which of the software's magnetometers, from 1.
 
     Raises BadInput for a file that holds none.
     """

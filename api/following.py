@@ -12,7 +12,6 @@ import time
 import warnings
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
-from datetime import date
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Unpack
 
@@ -34,7 +33,7 @@ from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.earth.field_models import load_field
 from fluxtwin.sim.telemetry.csv_files import without_comments
 from fluxtwin.sim.telemetry.record import Telemetry, concatenate
-from fluxtwin.sim.telemetry.selection import NoneTaken, selected, selection
+from fluxtwin.sim.telemetry.selection import NoneTaken, selection
 from fluxtwin.sim.telemetry.telemetry_files import Readable, Reading, is_path, read_telemetry
 from fluxtwin.verbs import as_calibration, as_record, on_one_blas_thread, reading_of, with_reading
 
@@ -113,7 +112,7 @@ def follow(
             records: Any = (
                 [telemetry] if hasattr(telemetry, "attrs") or not isinstance(telemetry, Iterable) else telemetry
             )
-            blocks = _taken(records, reading.get("start"), reading.get("where"))
+            blocks = _taken(records, reading)
         rows = _Rows(_later(_until(blocks, end)))
         first, every = rows.to_begin_with()
         watch = begin(
@@ -194,12 +193,10 @@ class _Rows:
         return block
 
 
-def _taken(
-    records: Iterable[Readable], start: np.datetime64 | date | str | None, where: str | None
-) -> Iterator[Telemetry]:
+def _taken(records: Iterable[Readable], reading: Reading) -> Iterator[Telemetry]:
     for record in records:
         with contextlib.suppress(NoneTaken):
-            yield selected(as_record(record), start, None, where)
+            yield as_record(record, **reading)
 
 
 def _until(blocks: Iterator[Telemetry], end: np.datetime64 | None) -> Iterator[Telemetry]:

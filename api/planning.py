@@ -199,7 +199,7 @@ def plan(
     the JSON of one. limits: what may be flown, as `[limits]` in a file. scenario: the spacecraft as it is flown; without
     one its orbit, noise and housekeeping are taken from the record. names: only these effects: one, to
     be shown at its typical size, or several, to be distinguished; `["calibration"]` asks what halves the sigma of the least
-    known S or b, by the method that `fluxtwin.calibrate` chooses.
+    known S or b, by the method that `fluxtwin.calibrate` chooses. modelled: as for `diagnose`.
     Raises BadInput for limits that leave nothing to fly, NoAnswer where nothing is left open.
     """
     assumed: Any = dict(options)

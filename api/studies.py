@@ -34,12 +34,12 @@ def run_study(
     *,
     attitude: str | None = None,
 ) -> tuple[StudyResult, list[Path]]:
-    """Run the study `name`; returns its result and every file written, its own and ours.
+    """Run a study; returns its result and every file written, its own and ours.
 
-    out: folder for the results, `./NAME-results` by default. data: folder of recorded data, for the studies
-    that need one. attitude: for the studies of a vehicle that torques move, "dynamics" (the default) or
-    "prescribed". Raises BadInput for an unknown name or attitude, a missing data folder or a folder that cannot be
-    written, before the work starts.
+    name: seasat, hcmm, st5, elfin, flight-field or flight-gaps. out: folder for the results, `./NAME-results` by default.
+    data: folder of recorded data, for the studies that need one. attitude: for the studies of a vehicle that torques move,
+    "dynamics" (the default) or "prescribed". Raises BadInput for an unknown name or attitude, a missing data folder or a
+    folder that cannot be written, before the work starts.
     """
     run = find_study(name)
     if data is not None and not Path(data).is_dir():

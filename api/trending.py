@@ -41,6 +41,7 @@ def trend(
 ) -> Trend:
     """Does last month's calibration still hold? From calibrations, or from telemetry that is calibrated here.
 
+    files: calibrations, records, or the paths of their files; or one record of several days.
     every_h: telemetry is cut into stretches of so many hours, from midnight of its first day. None cuts a single record by
     days and takes several records as one stretch each.
 

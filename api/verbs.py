@@ -6,7 +6,6 @@ import inspect
 from collections.abc import Callable, Iterator, Sequence
 from datetime import date
 from functools import wraps
-from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar, Unpack
 
@@ -44,14 +43,11 @@ def as_model(field: str | FieldModel, degree: int | None = None) -> FieldModel:
     return field if degree is None else field.truncated(degree)
 
 
-def number_in(value: Any, low: float, high: float, where: str) -> float:
-    """One number between the limits; raises BadInput for anything else."""
-    wanted = f"a number from {low:g} to {high:g}"
-    if not isinstance(value, Real):
-        raise BadInput(f"{value!r} is not one number", where=where, wanted=wanted)
+def number_in(value: float, low: float, high: float, where: str) -> float:
+    """A number between the limits; raises BadInput for another."""
     number = float(value)
     if not low <= number <= high:
-        raise BadInput(f"{number:g} is out of range", where=where, wanted=wanted)
+        raise BadInput(f"{number:g} is out of range", where=where, wanted=f"a number from {low:g} to {high:g}")
     return number
 
 
@@ -119,8 +115,10 @@ def as_calibration(calibration: Calibration | Path | str) -> Calibration:
 
 @with_reading
 def convert(telemetry: Readable, out: Path | str, **reading: Unpack[Reading]) -> Path:
-    """Write telemetry in the format that the name `out` ends in, whatever it is read from. As `fluxtwin.write` it replaces a
-    file that is there. Returns the path."""
+    """Write telemetry in the format that the name ends in, whatever it is read from. Returns the path.
+
+    out: as the path of `fluxtwin.write`; a file that is there is replaced.
+    """
     return write_telemetry(as_record(telemetry, **reading), out)
 
 
@@ -162,6 +160,7 @@ def calibrate(
 ) -> Fit:
     """S, b (and T) from one record or several; `.calibration` of the answer is what `apply` takes.
 
+    telemetry: the path of a file, a record, a pandas DataFrame or an xarray Dataset; or several, of different times.
     onboard: what was applied to the readings on board, a calibration or a file that `import_calibration` reads; it is
     undone, so that the answer acts on the sensor's own readings.
 
@@ -228,8 +227,12 @@ def attitude(
     """Three-axis attitude from field, horizon scanner and sun (or reference attitude), by night from field and scanner.
 
     calibration: None for a record that `apply` has corrected.
+    noise_nT: white noise of a reading per axis, rounding included, 1 sigma [nT].
+    attitude_sigma_deg: error of the scanner, or of the reference attitude, per axis, 1 sigma [deg].
+    attitude_tau_s: its time constant [s]; 0 for white.
+    sun_sigma_deg: white noise of the sun vector, 1 sigma [deg].
 
-    The errors that are None are found in the data; see `fluxtwin.calib.attitude.estimate_attitude`. `.holds` of the answer
+    The errors that are None are found in the data. `.holds` of the answer
     says whether its innovations are consistent. Raises BadInput as `apply` does, and NoAnswer where the attitude cannot be
     started.
     """
@@ -309,7 +312,7 @@ def yaw(
     *,
     field: str | FieldModel = "igrf14",
     degree: int | None = None,
-    sigma_B_nT: float | None = None,
+    sigma_nT: float | None = None,
     attitude_sigma_deg: float = 0.1,
     average_s: float = 120.0,
     force: bool = False,
@@ -318,7 +321,7 @@ def yaw(
     """Yaw from the calibrated field, with roll and pitch from elsewhere, and its sigma.
 
     calibration: None for a record that `apply` has corrected.
-    sigma_B_nT: the error of a field component, 1 sigma [nT]; None takes the calibration's.
+    sigma_nT: the error of a field component, 1 sigma [nT]; None takes the calibration's.
     attitude_sigma_deg: the error of roll and of pitch, 1 sigma [deg].
     average_s: how long yaw is averaged [s].
 
@@ -326,33 +329,40 @@ def yaw(
     """
     from fluxtwin.calib.attitude.yaw import yaw_from_field
 
-    for name, value, most in (("--sigma-nT", sigma_B_nT, 1e6), ("--attitude-sigma-deg", attitude_sigma_deg, 180.0)):
+    for name, value, most in (("--sigma-nT", sigma_nT, 1e6), ("--attitude-sigma-deg", attitude_sigma_deg, 180.0)):
         if value is not None:
             number_in(value, 0, most, name)
     record = as_record(telemetry, **reading)
     given = None if calibration is None else as_calibration(calibration)
     known = calibration_of(record, given, force=force)
-    if given is None and sigma_B_nT is None and known.sigma_nT == 0:
+    if given is None and sigma_nT is None and known.sigma_nT == 0:
         raise BadInput("the error of a field component is not known", where="--sigma-nT", wanted="nT, 1 sigma")
     return yaw_from_field(
         record,
         known,
         as_model(field, degree),
-        sigma_B_nT=sigma_B_nT,
+        sigma_B_nT=sigma_nT,
         sigma_angle_rad=float(np.radians(attitude_sigma_deg)),
         average_s=average_s,
     )
 
 
 def effects(name: str | None = None) -> tuple[Effect, ...]:
-    """The catalogue of what reality may do that a simulation lacks, or the effect of a name. Raises BadInput if unknown."""
+    """The catalogue of what reality may do that a simulation lacks.
+
+    name: of one effect, which is then the only one. Raises BadInput where it is unknown.
+    """
     from fluxtwin.sim.effects.catalogue import CATALOGUE, find_effect
 
     return CATALOGUE if name is None else (find_effect(name, where="effects"),)
 
 
 def passes(scenario: Scenario | Path | str, stations: Path | str | None = None) -> list[dict[str, Any]]:
-    """Every pass over the scenario's [station.NAME], or those of the file `stations`: rise, set, highest elevation."""
+    """Every pass over ground stations: rise and set in UTC, highest elevation [deg].
+
+    stations: the path of a file of [station.NAME] sections; None for the scenario's own. Raises BadInput where there are
+    none.
+    """
     from fluxtwin.sim.run.scenario_passes import list_passes
 
     return list_passes(with_stations(scenario, stations))
@@ -374,7 +384,10 @@ def with_stations(scenario: Scenario | Path | str, stations: Path | str | None) 
 
 
 def draft_map(files: Path | str | Sequence[Path | str]) -> str:
-    """A first column map, as TOML, from the headers of foreign files; what was guessed is marked "to be confirmed"."""
+    """A first column map, as TOML; what was guessed is marked "to be confirmed".
+
+    files: the path of a foreign file, or several of one spacecraft, of which the headers are read. Raises BadInput for none.
+    """
     from fluxtwin.sim.telemetry import column_map_draft
 
     given = list(files) if isinstance(files, Sequence) and not isinstance(files, str) else [files]

@@ -5,11 +5,10 @@ A new method is its options in `common/options.py`, the function that fits, and 
 
 from __future__ import annotations
 
-import functools
 import inspect
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from fluxtwin.calib.common.options import (
     OPTIONS,
@@ -89,17 +88,10 @@ def with_options(verb: F) -> F:
         for one in offered()
     ]
     kept = [one for one in own.parameters.values() if one.kind is not one.VAR_KEYWORD]
-    whole = own.replace(parameters=[*kept, *added])
-
-    @functools.wraps(verb)
-    def checked(*arguments: Any, **keywords: Any) -> Any:
-        whole.bind(*arguments, **keywords)  # refuses unknown names, as Python does
-        return verb(*arguments, **keywords)
-
-    checked.__signature__ = whole  # type: ignore[attr-defined]
-    lines = "\n".join(f"    {one.name}: {one.option.help}" for one in offered())
-    checked.__doc__ = f"{inspect.cleandoc(verb.__doc__ or '')}\n\n{inspect.cleandoc(lines)}\n"
-    return cast(F, checked)
+    verb.__signature__ = own.replace(parameters=[*kept, *added])  # type: ignore[attr-defined]
+    lines = "\n".join(f"{one.name}: {one.option.help}" for one in offered())
+    verb.__doc__ = f"{inspect.cleandoc(verb.__doc__ or '')}\n\n{lines}\n"
+    return verb
 
 
 def require(method: str | None, given: Mapping[str, Any]) -> None:

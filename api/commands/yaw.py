@@ -41,7 +41,7 @@ def command(
             given,
             field=field,
             degree=degree,
-            sigma_B_nT=sigma_nt,
+            sigma_nT=sigma_nt,
             attitude_sigma_deg=attitude_sigma_deg,
             average_s=average_s,
             force=output.force,

@@ -33,7 +33,7 @@ from fluxtwin.sim.telemetry.column_map import mapped_table, recognised
 from fluxtwin.sim.telemetry.columns import FileTable
 from fluxtwin.sim.telemetry.record import Telemetry
 from fluxtwin.sim.telemetry.selection import Selection, selection
-from fluxtwin.sim.telemetry.telemetry_files import as_path, read_table, write_telemetry
+from fluxtwin.sim.telemetry.telemetry_files import read_table, write_telemetry
 
 ORBIT_SPREAD = 0.15
 """Relative spread of |r| up to an eccentricity of 0.2."""
@@ -41,6 +41,8 @@ RECOGNISED = "recognised_layout"
 """Code of the note that a packaged column map was used."""
 POSITION_TRAPS = {"position_frame", "position_inside_earth"}
 """With these nothing else can be compared with the field model."""
+_VAGUE = {"field_mismatch", "vector_mismatch", "outliers"}
+"""Traps that name no cause."""
 _QUIET_ROWS = 100
 """As many as the comparison with the field takes at once: with fewer it says little."""
 __all__ = ["RECOGNISED", "CheckReport", "Finding", "check_file", "check_telemetry", "repair"]
@@ -141,8 +143,10 @@ def _against_field(telemetry: Telemetry, model: FieldModel, usable: BoolArray) -
     if not on.any() or int(quiet.sum()) < _QUIET_ROWS:
         return usable, found
     again = check_field(telemetry, model, quiet)
-    if any(finding.severity == "trap" and finding.code != "outliers" for finding in again):
-        return usable, found
+    named = {finding.code for finding in again if finding.severity == "trap"} - {"outliers"}
+    if named:  # a cause that the quiet rows have, beside which a mere misfit in all rows says nothing
+        vague = {finding.code for finding in found if finding.severity == "trap"} <= _VAGUE and not named & _VAGUE
+        return (quiet, again) if vague else (usable, found)
     posed = comparable(telemetry, model, usable, with_attitude=True)
     if posed is not None:  # their field is fitted then, so that all rows can be looked at
         again = [finding for finding in again if finding.code not in ("outliers", "rough_readings")]
@@ -175,7 +179,7 @@ def check_file(
     mapped = column_map is not None or bool(how)
     order = _order(table, "`sort = true` in the [[file]] of a column map" if mapped else "`--repair OUT`")
     ordered, left_out = _ordered(table)
-    order += [finding for finding in left_out if finding.severity == "trap"]
+    order += left_out
     shifted = check_columns(table)
     if shifted:
         return report(str(path), table.time.size, [*how, *order, *shifted])
@@ -191,7 +195,7 @@ def check_file(
     notices = telemetry.provenance.get("notices", "").split("; ")
     how += [note("two_magnetometers", other=3 - magnetometer)] * (telemetry.mag2_B_nT is not None)
     said = [note("on_reading", text=text) for text in notices if text and not (blind and text.startswith("mag_"))]
-    return report(str(path), len(telemetry), [*how, *order, *inner, *said])
+    return report(str(path), table.time.size, [*how, *order, *inner, *said])
 
 
 def _read(
@@ -216,15 +220,15 @@ def _read(
 
 
 def repair(path: Path | str, out: Path | str, *, max_samples: int | None = None) -> CheckReport:
-    """Write `out` with the rows of `path` sorted by time and exact duplicates dropped; the rest is reported.
+    """Write a file with the rows of another sorted by time and exact duplicates dropped; the rest is reported.
+
+    path: of the file that is read, with the columns of docs/telemetry.md. out: as the path of `fluxtwin.write`.
+    max_samples: the largest number of rows to read; None for 5,000,000.
 
     Rows without a time, and rows that repeat a time with other values, do not belong in a record;
     they are left out and named. Raises BadInput when `out` is the input, or nothing is left.
     """
-    path = as_path(
-        path, "path", "the path of a file; sort a table in memory, and drop its duplicates, before it is read"
-    )
-    if Path(out).resolve() == path.resolve():
+    if Path(out).resolve() == Path(path).resolve():
         raise BadInput("would overwrite the input", where=str(out), wanted="another name for the repaired file")
     try:
         table = read_table(path, max_samples=max_samples or MAX_SAMPLES)
@@ -277,7 +281,7 @@ def _ordered(table: FileTable) -> tuple[FileTable, list[Finding]]:
     rivals, doubles = rows[~is_first & ~equal], rows[~is_first & equal]
     findings = []
     if doubles.size:
-        findings.append(note("duplicates_dropped", np.sort(doubles), count=doubles.size))
+        findings.append(note("duplicates_dropped", np.sort(doubles), count=doubles.size, rows=table.time.size))
     if rivals.size:
         findings.append(trap("conflicting_rows", np.sort(rivals), count=rivals.size))
     keep = rows[is_first]

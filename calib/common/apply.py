@@ -100,7 +100,7 @@ def _warn_outside(telemetry: Telemetry, calibration: Calibration) -> None:
                 f"{late} are after {epoch.iso(ends, 's')}, when it expires: the drift that `fluxtwin trend` found has then "
                 "made it wrong by three of its sigmas"
             )
-        warnings.warn(f"{made}{rows}{held}", stacklevel=4)
+        warnings.warn(f"{made}{rows}{held}", stacklevel=5)
     seen, known = telemetry.temperature_degC, calibration.temperature_degC
     if seen is None or known is None:
         return
@@ -109,7 +109,7 @@ def _warn_outside(telemetry: Telemetry, calibration: Calibration) -> None:
         warnings.warn(
             f"{hot_or_cold} of {len(telemetry)} rows have the magnetometer at temperatures that the calibration has not "
             f"seen ({known[0]:.1f} to {known[1]:.1f} degC), by up to {np.nanmax(off):.1f} degC",
-            stacklevel=4,
+            stacklevel=5,
         )
 
 

@@ -103,7 +103,7 @@ OPTIONS = {
         wanted="degrees, positive, below 90",
     ),
     "sun_alignment_deg": Option(
-        "How well the mounting of the sun sensor is known; iterative; default: 0.05.",
+        "How well the mounting of the sun sensor is known, 1 sigma [deg]; iterative; default: 0.05.",
         float,
         "DEG",
         allowed=lambda value: 0.0 < value < 90.0,
@@ -147,13 +147,8 @@ class Options:
                     whose = "" if item.name == "method" else f" with method {self.method}"
                     wanted = " or ".join(filter(None, choices)) + whose
                     raise BadInput(f"{value!r} is no {option.noun}", where=f"--{item.name}", wanted=wanted)
-            elif value is not None:
-                try:
-                    allowed = option.allowed(value)
-                except TypeError:  # a text in the place of a number
-                    allowed = False
-                if not allowed:
-                    raise BadInput(f"{value!r}", where=item.name, wanted=option.wanted)
+            elif value is not None and not option.allowed(value):
+                raise BadInput(f"{value!r}", where=item.name, wanted=option.wanted)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -171,7 +171,11 @@ class Calibration(Shown):
         Raises BadInput for readings of another shape, when T is known but no dipole is given, or when a column that the
         reading follows is missing.
         """
-        given = np.asarray(mag_B_nT, dtype=np.float64)
+        try:
+            given = np.asarray(mag_B_nT, dtype=np.float64)
+        except (TypeError, ValueError):
+            wanted = "shape (N, 3); of a record, fluxtwin.apply(record, calibration)"
+            raise BadInput("is no array of numbers", where="mag_B_nT", wanted=wanted) from None
         if given.shape[-1:] != (3,):
             raise BadInput(f"has shape {given.shape}", where="mag_B_nT", wanted="shape (N, 3)")
         reading = self._without_telemetry_bias(given, columns or {})

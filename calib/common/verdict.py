@@ -297,7 +297,8 @@ def _impossible(fit: Fit, declared: DeclaredNoise, along: Along, residual_nT: fl
         found.append(say("verdict.impossible_S", unsure=unsure, **said))
     allowed_nT = SEVERAL * float(np.hypot(along.noise_nT, FIELD_MODEL_NT))
     if along.found_nT > allowed_nT:
-        found.append(say("verdict.impossible_along", along=along, model_nT=FIELD_MODEL_NT))
+        S = "" if known.sigmas[:9].any() else "S (which was not estimated), "
+        found.append(say("verdict.impossible_along", along=along, model_nT=FIELD_MODEL_NT, S=S))
     if declared.ratio > SEVERAL:
         found.append(declared.words)
     if residual_nT > IMPOSSIBLE_RESIDUAL * field_rms_nT / np.sqrt(fit.residuals_nT.shape[1]):
@@ -428,10 +429,12 @@ def _next_step(
     if orbit_suspect and not impossible:
         return _DIAGNOSE
     only_b = not fit.calibration.sigmas[:9].any()
-    if impossible or _many_outliers(fit) or (along.beyond_model and not only_b):
+    if only_b and along.too_much and len(impossible) < 2 and not _many_outliers(fit):  # it may be no more than S
+        return "fluxtwin calibrate TELEMETRY --parameters b,S"
+    if impossible or _many_outliers(fit) or along.beyond_model:
         return _CHECK
     if along.too_much:
-        return "fluxtwin calibrate TELEMETRY --parameters b,S" if only_b else _DIAGNOSE
+        return _DIAGNOSE
     if direction.calibration_deg > direction.noise_deg:
         return say("verdict.more_field", weak=weak)
     return "fluxtwin apply TELEMETRY --calibration CALIBRATION.toml --out CORRECTED"

@@ -3,14 +3,24 @@
 from __future__ import annotations
 
 import importlib
+import inspect
+import os
+import re
+import reprlib
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
+from functools import partial, wraps
+from numbers import Integral, Real
 from typing import Any
 
+from fluxtwin.sim.base.errors import BadInput, FluxtwinError, kind_of, nearest
 
-def door(package: str, **modules: str) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
+
+def door(
+    package: str, through: Callable[[str, Any], Any] = lambda name, value: value, /, **modules: str
+) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
     """`__getattr__` and `__dir__` of `package`. modules: names to re-export, parted by blanks, by the module they are in;
-    `a:b` is called b here.
+    `a:b` is called b here. through: what is done to each, with its name.
 
     To import all of them at once would make every start as slow as the slowest of them.
     """
@@ -23,10 +33,128 @@ def door(package: str, **modules: str) -> tuple[Callable[[str], Any], Callable[[
 
     def get(name: str) -> Any:
         if name not in homes:
-            raise AttributeError(f"{package} has no {name!r}; it has {', '.join(homes)}")
+            raise AttributeError(f"{package} has no {name!r}{nearest(name, homes)}; it has {', '.join(homes)}")
         module, own = homes[name]
-        value = getattr(importlib.import_module(module), own)
+        value = through(name, getattr(importlib.import_module(module), own))
         setattr(sys.modules[package], name, value)
         return value
 
     return get, lambda: sorted({*vars(sys.modules[package]), *homes})
+
+
+def as_verb(package: str, name: str, value: Any, flags: Mapping[str, str], lines: Mapping[str, str]) -> Any:
+    """A function as others call it: what it is given is held against its signature, and its refusals name keywords.
+
+    None for a keyword that has another default means that default. flags: the keyword that an option of the command line
+    stands for, where it is spelled otherwise. lines: what is said of a parameter that the docstring does not explain. Raises
+    BadInput for an argument of the wrong type, and TypeError, with the nearest keyword, for one that there is not.
+    """
+    if not inspect.isfunction(value):
+        return value
+    own = inspect.signature(value)
+    known = own.parameters
+
+    @wraps(value)
+    def verb(*arguments: Any, **keywords: Any) -> Any:
+        try:
+            bound = own.bind(*arguments, **keywords)
+        except TypeError as error:
+            hints = [nearest(one, known, "; did you mean {}?") for one in keywords if one not in known]
+            raise TypeError(f"{package}.{name}: {error}{''.join(hints[:1])}") from None
+        for one, given in list(bound.arguments.items()):
+            if given is None and known[one].default not in (None, inspect.Parameter.empty):
+                del bound.arguments[one]
+            else:
+                _require_kind(one, given, str(known[one].annotation))
+        try:
+            return value(*bound.args, **bound.kwargs)
+        except FluxtwinError as error:
+            error.args = tuple(_as_keywords(text, known, flags) for text in error.args)
+            if isinstance(error, BadInput):
+                error.where, error.wanted = (_as_keywords(text, known, flags) for text in (error.where, error.wanted))
+            raise
+
+    shown = [
+        one.replace(default=None, annotation=f"{one.annotation} | None") if inspect.isfunction(one.default) else one
+        for one in known.values()
+    ]
+    verb.__signature__ = own.replace(parameters=shown)  # type: ignore[attr-defined]
+    said = inspect.getdoc(value) or ""
+    added = [f"{one}: {lines[one]}" for one in known if one in lines and not re.search(rf"\b{one}(, \w+)*: ", said)]
+    verb.__doc__ = "\n\n".join([said, *filter(None, ["\n".join(added)])])
+    verb.__module__, verb.__name__, verb.__qualname__ = package, name, name  # as it is found again in another process
+    return verb
+
+
+def _is_bool(given: Any) -> bool:
+    return type(given).__name__ in ("bool", "bool_")  # numpy's too
+
+
+def _is_of(name: str, given: Any) -> bool:
+    return name in [one.__name__ for one in type(given).__mro__]  # the class itself is imported where it is used
+
+
+def _are_names(given: Any) -> bool:
+    plain = not isinstance(given, list | tuple) or all(isinstance(one, str) for one in given)
+    return isinstance(given, Iterable) and plain
+
+
+def _are_numbers(given: Any) -> bool:
+    import numpy as np
+
+    try:
+        return np.asarray(given).dtype.kind in "iuf"
+    except ValueError:  # rows of different lengths
+        return False
+
+
+_KINDS: dict[str, tuple[str, Callable[[Any], bool]]] = {
+    "float": ("one number", lambda given: isinstance(given, Real) and not _is_bool(given)),
+    "int": ("a whole number", lambda given: isinstance(given, Integral) and not _is_bool(given)),
+    "bool": ("True or False", _is_bool),
+    "str": ("text", lambda given: isinstance(given, str)),
+    "Path": ("a path", lambda given: isinstance(given, str | os.PathLike)),
+    "Sequence[str]": ("a list of names", _are_names),
+    "Mapping[str, Any]": ("a dict", lambda given: isinstance(given, Mapping)),
+    "Mapping[str, Readable]": (
+        "a dict of records by the name of the vehicle",
+        lambda given: isinstance(given, Mapping),
+    ),
+    "FloatArray": ("an array of numbers", _are_numbers),
+    "Progress": ("a function", callable),
+    "Callable[[str], None]": ("a function", callable),
+    "Executor": ("an executor", lambda given: hasattr(given, "submit")),
+    "None": ("None", lambda given: given is None),
+} | {
+    name: (f"a {name}", partial(_is_of, name))
+    for name in ("Declared", "Diagnosis", "FieldModel", "LimitsSection", "World")
+}
+"""What an argument may be, by its annotation: in words, and whether something is that. What has no row the verb judges."""
+_UNIT = re.compile(r"_(nT|deg|s|h|km)$")
+
+
+def _require_kind(name: str, given: Any, annotation: str) -> None:
+    parts = annotation.split(" | ")
+    if not set(parts) <= set(_KINDS) or any(_KINDS[part][1](given) for part in parts):
+        return
+    words = [_KINDS[part][0] for part in parts if not (part == "str" and "Path" in parts)]
+    unit = _UNIT.search(name)
+    wanted = " or ".join([words[0] + (f" [{unit[1]}]" if unit else ""), *words[1:]])
+    if words[0] == "text" and isinstance(given, list | tuple) and _are_names(given):
+        wanted = f"text, as {','.join(given)!r}"
+    plain = type(given).__module__ == "builtins"
+    said = f"{reprlib.repr(given)} is not {words[0]}" if plain else f"an object of type {kind_of(given)} was given"
+    raise BadInput(said, where=name, wanted=wanted)
+
+
+def _as_keywords(text: Any, known: Mapping[str, inspect.Parameter], flags: Mapping[str, str]) -> Any:
+    """The text with the keywords in place of the options of the command line that they are, where the verb has them."""
+
+    def keyword(flag: re.Match[str]) -> str:
+        name = flag[1].replace("-", "_")
+        one = known.get(name) or known.get(flags.get(name, ""))
+        if one is None:
+            return flag[0]
+        return f"{one.name}=True" if one.annotation == "bool" else one.name
+
+    return re.sub(r"--([a-z][\w-]*)", keyword, text) if isinstance(text, str) else text

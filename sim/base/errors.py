@@ -61,6 +61,11 @@ def nearest(word: str, known: Iterable[str], words: str = "; did you mean {}?", 
     return words.format(near[0]) if near else ""
 
 
+def kind_of(given: object) -> str:
+    """The type of an object and the package that it is of, as `pandas DataFrame`."""
+    return f"{type(given).__module__.partition('.')[0]} {type(given).__name__}".removeprefix("builtins ")
+
+
 def names_in(given: str | Iterable[str]) -> list[str]:
     """Each name once, of several or of a text with commas between them; `none` alone is an empty list."""
     if isinstance(given, str):

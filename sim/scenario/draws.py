@@ -124,7 +124,7 @@ def _misfits(value: Any, draw: DrawSection) -> Iterator[str]:
         return
     asked = [draw.at_least, draw.at_most, *(draw.given if draw.kind.endswith("uniform") else [draw.given])]
     if any(np.shape(part) not in ((), shape) for part in asked if part is not None):
-        yield f"wants one number, or numbers of the shape {shape}"
+        yield "wants one number" + (f", or numbers of the shape {shape}" if shape else "")
     if draw.kind == "isotropic" and len(shape) != 1:
         yield "is no vector: isotropic draws a direction"
     if draw.kind == "relative_normal" and not np.any(value):

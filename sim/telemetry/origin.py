@@ -6,7 +6,7 @@ A file is read as its columns or its map say. Whoever asks whether that was righ
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal
 
 if TYPE_CHECKING:
@@ -33,3 +33,5 @@ class Origin:
     """(3, 3) by which the map turned the stored readings."""
     count_nT: float | None = 1.0
     """Reading [nT] for a stored number of 1; None where it is not one factor for all axes."""
+    path: str = field(default="", compare=False)
+    """Of the file that was read, which is not written over; empty where there was none."""

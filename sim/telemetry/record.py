@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import reprlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
 from datetime import date
@@ -226,10 +227,11 @@ class Telemetry(Shown):
         ends = (rows.start, rows.stop) if isinstance(rows, slice) else ()
         if any(isinstance(one, str | date | np.datetime64) for one in ends):
             return self.between(*ends)
-        if isinstance(rows, str):
+        try:
+            return self.select(rows if isinstance(rows, slice) else np.atleast_1d(rows))
+        except (IndexError, TypeError) as error:
             wanted = "a mask, indices or times as record['2026-03-01':'2026-03-02']; columns are in record.to_pandas()"
-            raise BadInput(f"{rows!r} chooses no rows", where="record", wanted=wanted)
-        return self.select(rows if isinstance(rows, slice) else np.atleast_1d(rows))
+            raise BadInput(f"{reprlib.repr(rows)} chooses no rows ({error})", where="record", wanted=wanted) from None
 
     __iter__ = None  # rows are no records
 

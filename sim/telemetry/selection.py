@@ -113,16 +113,18 @@ def selection(
     start: np.datetime64 | date | str | None = None,
     end: np.datetime64 | date | str | None = None,
     where: str | None = None,
+    names: tuple[str, str, str] = ("--from", "--to", "--where"),
 ) -> Selection:
     """The selection of rows from `start` (inclusive) to `end` (exclusive), ISO 8601 UTC, in which `where` holds.
 
-    Raises BadInput for text that is no time or no condition, and where nothing can lie between start and end.
+    names: of the three, for messages. Raises BadInput for text that is no time or no condition, and where nothing can lie
+    between start and end.
     """
-    begin = None if start is None else instant(start, "--from")
-    until = None if end is None else instant(end, "--to")
+    begin = None if start is None else instant(start, names[0])
+    until = None if end is None else instant(end, names[1])
     if begin is not None and until is not None and until <= begin:
-        raise BadInput("is not after --from", where=f"--to {epoch.iso(until)}", wanted="a later time")
-    return Selection(begin, until, None if where is None else condition(where))
+        raise BadInput(f"is not after {names[0]}", where=f"{names[1]} {epoch.iso(until)}", wanted="a later time")
+    return Selection(begin, until, None if where is None else condition(where, names[2]))
 
 
 def selected(
@@ -132,7 +134,7 @@ def selected(
     where: str | None = None,
 ) -> Telemetry:
     """The record cut as a file is on reading; the condition takes the columns that the record's file would have."""
-    chosen = selection(start, end, where)
+    chosen = selection(start, end, where, ("start", "end", "where"))
     if not chosen.words:
         return record
     columns = file_columns(record) if chosen.condition is not None else {}
@@ -141,6 +143,8 @@ def selected(
 
 def condition(text: str, place: str = "--where") -> Condition:
     """The condition that `text` states. Raises BadInput, with the place where it was given and the part that is none."""
+    if not isinstance(text, str):
+        raise BadInput(f"{clip(repr(text))} is not text", where=place, wanted=_EXAMPLE)
     if len(text) > _LONGEST:
         raise BadInput(f"has {len(text)} characters", where=place, wanted=f"at most {_LONGEST}")
     if text.count("(") > _DEEPEST:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from dataclasses import replace
 from datetime import date
 from pathlib import Path
 from typing import Any, Protocol, TypeAlias, TypedDict
 
 import numpy as np
 
-from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.errors import BadInput, kind_of
 from fluxtwin.sim.base.files import is_stream
 from fluxtwin.sim.base.limits import MAX_SAMPLES
 from fluxtwin.sim.telemetry.columns import FileTable
@@ -69,8 +70,7 @@ def read_telemetry(
 ) -> Telemetry:
     """The record in `path`: a file with the columns of the contract, or a foreign file or folder with `column_map`.
 
-    A DataFrame or a Dataset is taken as it is, with units in the names or attributes of its columns.
-
+    path: a DataFrame or a Dataset is taken as it is, with units in the names or attributes of its columns.
     column_map: TOML that says which columns hold what, in which units and frames; or "preset:NAME".
     tle: two-line elements or a CCSDS OEM: positions where the file has none.
     attitude: a CCSDS AEM: attitudes where the file has none.
@@ -85,13 +85,17 @@ def read_telemetry(
     from fluxtwin.sim.telemetry.selection import selection
 
     given = as_path(path) if is_path(path) else _table(path)
+    if max_samples is not None and max_samples < 1:
+        raise BadInput(f"{max_samples}", where="max_samples", wanted="1 or more")
     chosen = selection(start, end, where)
     if column_map is not None:
         from fluxtwin.sim.telemetry.column_map import mapped_table
 
-        table = mapped_table(given, column_map, tle=tle, max_samples=max_samples or MAX_SAMPLES)
-        return record(chosen.cut(table), attitude=attitude).with_magnetometer(magnetometer)
-    table = read_table(given, max_samples=max_samples or MAX_SAMPLES, others=chosen.columns)
+        table, tle = mapped_table(given, column_map, tle=tle, max_samples=max_samples or MAX_SAMPLES), None
+    else:
+        table = read_table(given, max_samples=max_samples or MAX_SAMPLES, others=chosen.columns)
+    if isinstance(given, Path):
+        table = replace(table, origin=replace(table.origin, path=os.path.realpath(given)))
     return record(chosen.cut(table), tle=tle, attitude=attitude).with_magnetometer(magnetometer)
 
 
@@ -104,7 +108,7 @@ def _table(given: Any) -> Table:
     """A table of pandas or xarray as ours; raises BadInput for anything else."""
     from fluxtwin.sim.telemetry.formats import frame
 
-    kind = _kind_of(given)
+    kind = kind_of(given)
     if kind == "pandas DataFrame":
         return frame.of_pandas(given)
     if kind == "xarray Dataset":
@@ -117,11 +121,7 @@ def as_path(given: Any, where: str = "telemetry", wanted: str = _READABLE) -> Pa
     """`given` as the path of a file; raises BadInput that says what it is instead, and what is wanted in its place."""
     if isinstance(given, str | os.PathLike):
         return Path(given)
-    raise BadInput(f"an object of type {_kind_of(given)} was given", where=where, wanted=wanted)
-
-
-def _kind_of(given: Any) -> str:
-    return f"{type(given).__module__.partition('.')[0]} {type(given).__name__}".removeprefix("builtins ")
+    raise BadInput(f"an object of type {kind_of(given)} was given", where=where, wanted=wanted)
 
 
 def read_table(path: Path | str | Table, *, max_samples: int = MAX_SAMPLES, others: Sequence[str] = ()) -> FileTable:
@@ -142,12 +142,17 @@ def read_table(path: Path | str | Table, *, max_samples: int = MAX_SAMPLES, othe
 def write_telemetry(telemetry: Telemetry, path: Path | str) -> Path:
     """Write the record to `path`, in the format of its ending, atomically; CSV to a device or pipe. Returns the path.
 
-    Each magnetometer's readings go into its own columns. Raises BadInput for anything but a record.
+    path: ends in .nc, .nc4, .h5, .csv, .csv.gz, .xlsx, .parquet, .aem or .oem; a file that is there is replaced.
+
+    Each magnetometer's readings go into its own columns. Raises BadInput for anything but a record, and for the file that
+    the record was read from.
     """
     given: object = telemetry
     if not isinstance(given, Telemetry):
         wanted = "a fluxtwin.Telemetry (`simulate` returns two: the telemetry and the truth)"
-        raise BadInput(f"an object of type {_kind_of(given)} was given", where="telemetry", wanted=wanted)
+        raise BadInput(f"an object of type {kind_of(given)} was given", where="telemetry", wanted=wanted)
+    if telemetry.origin.path == os.path.realpath(path) and os.path.exists(path):
+        raise BadInput("this record was read from it", where=str(path), wanted="another name; inputs are kept")
     telemetry = telemetry.with_magnetometer(1)
     found = None if is_stream(path) else format_of(path)
     if found is not None:

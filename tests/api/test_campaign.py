@@ -13,6 +13,7 @@ from worlds import TUMBLING, tumbling
 
 import fluxtwin
 from fluxtwin import campaigning
+from fluxtwin.campaign_page import sentences
 from fluxtwin.campaign_scores import summarise, wilson
 from fluxtwin.campaigning import one_run
 from fluxtwin.scenarios.packaged import as_scenario
@@ -107,6 +108,16 @@ def test_the_size_that_is_named_in_nine_of_ten_is_found() -> None:
     assert summarise("x", 1, wrong)["false_names"]["bias_step"] > 10
 
 
+def test_few_runs_do_not_contradict_the_sigmas() -> None:
+    """12 errors have squares of 0.37 to 1.94 times their expectation in 95 % of cases (chi squared: 4.404 to 23.337)."""
+    fit = {"why": "", "parameters": {f"p{k}": [1.0, 1.0] for k in range(12)}, "nees": 1.3}
+    run = {"run": 0, "lost": "", "effects": {}, "calibration": fit, "diagnosis": {"why": "no", "names": []}}
+    for runs, words in ((1, "agree with its sigmas"), (200, "do not agree with its sigmas")):
+        found = summarise("x", 1, [run] * runs)
+        assert f"The errors of the calibration {words}" in " ".join(sentences(found))
+    assert summarise("x", 1, [run])["sigmas"]["nees_by_chance"] == pytest.approx([4.404 / 12, 23.337 / 12], abs=1e-4)
+
+
 def test_the_interval_is_wilsons() -> None:
     """The example of Newcombe 1998, Stat. Med. 17, 857, table I: 81 of 263 is 0.2553 to 0.3662; 0 of 20 ends at 0.1611."""
     assert wilson(81, 263) == (pytest.approx(0.2553, abs=5e-5), pytest.approx(0.3662, abs=5e-5))
@@ -114,7 +125,7 @@ def test_the_interval_is_wilsons() -> None:
 
 
 def test_what_makes_no_campaign_is_said(tmp_path: Path) -> None:
-    with pytest.raises(BadInput, match=r"^--runs: 0 runs"):
+    with pytest.raises(BadInput, match=r"^runs: 0 runs"):
         fluxtwin.campaign(parse_scenario(TEXT), 0, tmp_path / "x")
     with pytest.raises(BadInput, match="processes"):
         fluxtwin.campaign(parse_scenario(TEXT), 2, tmp_path / "x", jobs=0)

@@ -100,6 +100,17 @@ def test_records_from_python_are_the_same_to_the_bit_in_any_pieces(record: Telem
     assert one.rows in range(other.rows - 250, other.rows + 250)  # begun where the first piece was long enough
 
 
+def test_a_table_is_read_as_by_every_verb(record: Telemetry, tmp_path: Path) -> None:
+    two = record.replace(mag_B_nT=np.full((len(record), 3), np.nan), mag2_B_nT=record.mag_B_nT)
+    line = fluxtwin.follow(record, attitude_sigma_deg=0.05).line
+    for given in (two, two.to_pandas()):
+        assert fluxtwin.follow(given, magnetometer=2, attitude_sigma_deg=0.05).line == line
+    with pytest.raises(fluxtwin.BadInput, match=r"none\.toml"):
+        fluxtwin.follow(record.to_pandas(), column_map=tmp_path / "none.toml")
+    with pytest.raises(fluxtwin.BadInput, match="column_map: a record is read already"):
+        fluxtwin.follow(record, column_map=tmp_path / "none.toml")
+
+
 def test_a_selection_is_followed_and_ends_the_stream(record: Telemetry, tmp_path: Path, cli: Cli) -> None:
     """From Python in pieces, and from a file that would be followed for ever: the rows that `diagnose` takes."""
     begin, end = (str(record.time[row]) for row in (30, 1000))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import json
+import pickle
 import subprocess
 import sys
 from pathlib import Path
@@ -26,6 +27,12 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> str:
     (folder / "s.toml").write_text(scenario_text(MAGNETOMETER), encoding="utf-8")
     telemetry, _ = fluxtwin.simulate(str(folder / "s.toml"))
     return str(fluxtwin.write(telemetry, str(folder / "t.nc")))
+
+
+@pytest.fixture(scope="module")
+def known() -> tuple[fluxtwin.Telemetry, Any]:
+    record, _ = fluxtwin.simulate("cubesat")
+    return record, fluxtwin.calibrate(record)
 
 
 def test_yaw_of_a_file(flown: str) -> None:
@@ -57,11 +64,11 @@ def test_lists_may_be_typed_as_on_the_command_line(flown: str) -> None:
     assert "driver_load" in fluxtwin.calibrate(load, driver="load").calibration.telemetry_bias
     assert not fluxtwin.calibrate(load, driver="all").calibration.telemetry_bias, "it drives nothing"
     with pytest.raises(fluxtwin.BadInput, match="no effect is called 'biass'"):
-        fluxtwin.fleet(dict.fromkeys("abc", flown), modelled="biass", jobs=1)
+        fluxtwin.fleet({str(row): record[row:] for row in range(3)}, modelled="biass", jobs=1)
+    with pytest.raises(fluxtwin.BadInput, match="b: has the same readings as a"):
+        fluxtwin.fleet(dict.fromkeys("abc", flown), jobs=1)
     with pytest.raises(fluxtwin.BadInput, match="a diagnosis has no readings to calibrate"):
         fluxtwin.plan("found.json", names="calibration")
-    with pytest.raises(TypeError, match="did you mean attitude_sigma_deg"):
-        fluxtwin.diagnose(flown, attitude_sigma=0.1)
 
 
 def test_a_table_is_one_record_to_a_trend(flown: str) -> None:
@@ -108,36 +115,126 @@ def test_an_unguarded_script_flies_an_ensemble_in_processes(tmp_path: Path) -> N
         (lambda record, fit: fluxtwin.apply(record, fit), "Wanted: the `.calibration` of a fit, or the path"),
         (lambda record, fit: fluxtwin.apply(record, np.eye(3)), "an object of type numpy ndarray was given"),
         (
-            lambda record, fit: fluxtwin.calibrate(record, parameters=["b"]),
-            "is no choice of parameters. Wanted: b or b,S",
+            lambda record, fit: fluxtwin.calibrate(record, parameters=["b", "S"]),
+            "parameters: ['b', 'S'] is not text. Wanted: text, as 'b,S'",
         ),
         (lambda record, fit: fluxtwin.simulate({"seed": 1}), "Wanted: the path of a scenario as TOML, or cubesat"),
         (lambda record, fit: fluxtwin.field("2026-03-01", [52.0, 53.0], 4.0), "[52.0, 53.0] is not one number"),
         (lambda record, fit: fluxtwin.field("2026-03-01", 52.0, "4E"), "'4E' is not one number"),
         (lambda record, fit: fluxtwin.field(2026.2, 52.0, 4.0), "2026.2 is no time"),
-        (lambda record, fit: fluxtwin.field("2026-03-01", 52.0, 4.0, degree=8.5), "degree 8.5 is not in"),
-        (lambda record, fit: fluxtwin.yaw(record, fit.calibration, sigma_B_nT="5"), "'5' is not one number"),
+        (lambda record, fit: fluxtwin.field("2026-03-01", 52.0, 4.0, degree=8.5), "degree: 8.5 is not a whole number"),
+        (lambda record, fit: fluxtwin.yaw(record, fit.calibration, sigma_nT="5"), "sigma_nT: '5' is not one number"),
         (lambda record, fit: fluxtwin.diagnose(record, noise_nT=[20.0] * 3), "[20.0, 20.0, 20.0] is not one number"),
         (lambda record, fit: fluxtwin.diagnose(record, attitude_sigma_deg="0.1"), "'0.1' is not one number"),
         (
             lambda record, fit: fluxtwin.repair(record.to_pandas(), "r.csv"),
             "an object of type pandas DataFrame was given",
         ),
-        (lambda record, fit: fluxtwin.export("px4", fit.calibration), "is no target"),
+        (lambda record, fit: fluxtwin.export("px4", fit.calibration), "to: an object of type"),
         (lambda record, fit: fluxtwin.fleet([record] * 3), "Wanted: a dict of records by the name of the vehicle"),
         (lambda record, fit: fluxtwin.calibrate(record, attitude_sigma_deg="0.1"), "attitude_sigma_deg: '0.1'"),
         (lambda record, fit: fluxtwin.check(record, onboard=fit), "Wanted: the `.calibration` of a fit"),
         (lambda record, fit: record["mag_x_nT"], "columns are in record.to_pandas()"),
+        (lambda record, fit: record[["mag_x_nT"]], "['mag_x_nT'] chooses no rows"),
+        (lambda record, fit: record[np.ones(5, dtype=bool)], "size of axis is 1801"),
+        (lambda record, fit: record[:, 1], "Wanted: a mask, indices or times"),
+        (lambda record, fit: record.where(5), "where: 5 is not text"),
+        (lambda record, fit: record.between("2027"), "start: '2027' is not a time"),
         (lambda record, fit: fluxtwin.follow(3), "an object of type int was given"),
+        (lambda record, fit: fit.calibration.apply("x"), "mag_B_nT: is no array of numbers"),
+        (lambda record, fit: fluxtwin.attitude(record, noise_nT="5"), "noise_nT: '5' is not one number"),
+        (lambda record, fit: fluxtwin.attitude(record, noise_nT=True), "Wanted: one number [nT] or None"),
+        (lambda record, fit: fluxtwin.calibrate(record, noise_nT="5"), "Wanted: one number [nT] or an array"),
+        (lambda record, fit: fluxtwin.calibrate(record, weights=[[1.0], []]), "weights: [[1.0], []] is not an array"),
+        (lambda record, fit: fluxtwin.calibrate(record, errors_in_variables="yes"), "'yes' is not True or False"),
+        (lambda record, fit: fluxtwin.calibrate(record, driver=[5]), "driver: [5] is not a list of names"),
+        (lambda record, fit: fluxtwin.calibrate(record, field=3), "Wanted: text or a FieldModel"),
+        (lambda record, fit: fluxtwin.calibrate(record, progress="no"), "progress: 'no' is not a function"),
+        (lambda record, fit: fluxtwin.read("t.nc", where=5), "where: 5 is not text"),
+        (lambda record, fit: fluxtwin.read(record.to_pandas(), max_samples=0), "max_samples: 0. Wanted: 1 or more"),
+        (lambda record, fit: fluxtwin.ensemble("cubesat", 2.5, "out"), "vehicles: 2.5 is not a whole number"),
+        (lambda record, fit: fluxtwin.ensemble("cubesat", 2, "out", executor=3), "Wanted: an executor or None"),
+        (lambda record, fit: fluxtwin.repair("t.nc", None), "out: None is not a path. Wanted: a path"),
+        (lambda record, fit: fluxtwin.repair(record, "r.csv"), "an object of type fluxtwin Telemetry was given"),
+        (lambda record, fit: fluxtwin.plan(record, limits=3), "Wanted: a LimitsSection or a dict or a path"),
+        (lambda record, fit: fluxtwin.close(record, scenario=None, telemetry="t.nc"), "Wanted: a Diagnosis"),
         (lambda record, fit: fit.calibration.apply(record.mag_B_nT.T), "has shape (3, 1801). Wanted: shape (N, 3)"),
     ],
 )
-def test_an_object_of_another_kind_is_refused_in_words(call: Any, wanted: str) -> None:
-    record, _ = fluxtwin.simulate("cubesat")
-    fit = fluxtwin.calibrate(record)
+def test_an_object_of_another_kind_is_refused_in_words(
+    call: Any, wanted: str, known: tuple[fluxtwin.Telemetry, Any]
+) -> None:
     with pytest.raises(fluxtwin.BadInput) as refused:
-        call(record, fit)
+        call(*known)
     assert wanted in str(refused.value)
+
+
+def test_none_is_the_default_and_numbers_of_numpy_are_numbers(known: tuple[fluxtwin.Telemetry, Any]) -> None:
+    record, _ = known
+    given = {"degree": np.int32(13), "errors_in_variables": np.bool_(True), "attitude_tau_s": np.float32(0.0)}
+    again = fluxtwin.calibrate(record, field=None, robust=None, progress=None, magnetometer=None, **given)
+    assert fluxtwin.calibrate(record, errors_in_variables=True, attitude_tau_s=0.0) == again
+
+
+@pytest.mark.parametrize("verb", ["calibrate", "diagnose", "attitude", "plan", "trend"])
+def test_a_misspelled_keyword_costs_a_hint(verb: str) -> None:
+    with pytest.raises(TypeError, match=rf"^fluxtwin\.{verb}: .*attitude_sigma'; did you mean attitude_sigma_deg\?"):
+        getattr(fluxtwin, verb)("t.nc", attitude_sigma=0.1)
+    with pytest.raises(TypeError, match="missing a required argument"):
+        getattr(fluxtwin, verb)()
+
+
+def test_a_refusal_names_keywords_not_options(flown: str, tmp_path: Path) -> None:
+    record = fluxtwin.read(flown)
+    mine = fluxtwin.calibrate(record).calibration
+    for call, said in (
+        (
+            lambda: fluxtwin.read(flown, start="2030-01-01", end="2029-01-01"),
+            "end 2029-01-01T00:00:00Z: is not after start.",
+        ),
+        (lambda: fluxtwin.calibrate(record, method="mine"), "method: 'mine' is not a method"),
+        (
+            lambda: fluxtwin.calibrate(record, method="gyro", sun_sigma_deg=1.0),
+            "method batch or iterative or recursive, or",
+        ),
+        (lambda: fluxtwin.apply(fluxtwin.apply(record, mine), mine), "force=True corrects them once more"),
+        (lambda: fluxtwin.trend(record, every_h=-1.0), "every_h: -1"),
+        (lambda: fluxtwin.plan(record, names="biass"), "names: no effect is called"),
+        (lambda: fluxtwin.draft_map(tmp_path), str(tmp_path)),
+    ):
+        with pytest.raises(fluxtwin.FluxtwinError) as refused:
+            call()
+        assert said in str(refused.value) and "--" not in str(refused.value)
+
+
+def test_no_verb_writes_over_what_it_has_read(flown: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    fluxtwin.convert(flown, "t.csv")
+    before = Path("t.csv").read_bytes()
+    part = fluxtwin.read("t.csv")[:100].replace(sunlit=None)
+    for call in (
+        lambda: fluxtwin.convert("t.csv", "./t.csv"),
+        lambda: fluxtwin.write(part, tmp_path / "t.csv"),
+        lambda: fluxtwin.repair("t.csv", "t.csv"),
+    ):
+        with pytest.raises(fluxtwin.BadInput, match="Wanted: another name"):
+            call()
+    assert Path("t.csv").read_bytes() == before
+    for _ in range(2):  # another file is replaced, though it holds the same
+        fluxtwin.write(fluxtwin.read("t.csv"), "copy.csv")
+
+
+def test_a_warning_points_at_who_asked(known: tuple[fluxtwin.Telemetry, Any]) -> None:
+    record, fit = known
+    later = record.replace(time=record.time + np.timedelta64(1, "D"))
+    with pytest.warns(UserWarning, match="of another time") as seen:
+        fluxtwin.apply(later, fit.calibration)
+    assert {one.filename for one in seen} == {__file__}
+
+
+def test_a_verb_can_be_sent_to_another_process() -> None:
+    for name in fluxtwin.__all__[1:]:
+        assert pickle.loads(pickle.dumps(getattr(fluxtwin, name))) is getattr(fluxtwin, name)
 
 
 def test_an_effect_is_not_closed_on_a_record_in_memory(tmp_path: Path) -> None:
@@ -145,7 +242,7 @@ def test_an_effect_is_not_closed_on_a_record_in_memory(tmp_path: Path) -> None:
     (tmp_path / "s.toml").write_text(scenario_text(sections, segment="samples = 600, step_s = 10.0"), encoding="utf-8")
     record, _ = fluxtwin.simulate(tmp_path / "s.toml")
     found = fluxtwin.diagnose(record, noise_nT=20.0, attitude_sigma_deg=0.1)
-    with pytest.raises(fluxtwin.BadInput, match="Wanted: the path of the file that was diagnosed"):
+    with pytest.raises(fluxtwin.BadInput, match=r"Telemetry was given\. Wanted: a path"):
         fluxtwin.close(found, scenario=None, telemetry=record)
 
 

@@ -56,5 +56,16 @@ def test_a_door_says_what_it_has() -> None:
     get, listed = door("fluxtwin.sim.earth", orbit="Orbit")
     assert get("Orbit").__name__ == "Orbit"
     assert "Orbit" in listed()
-    with pytest.raises(AttributeError, match="has no 'Planet'; it has Orbit"):
-        get("Planet")
+    for name, hint in (("Planet", ""), ("orbit", "; did you mean Orbit\\?")):
+        with pytest.raises(AttributeError, match=f"has no '{name}'{hint}; it has Orbit"):
+            get(name)
+
+
+def test_help_explains_every_parameter() -> None:
+    for name in fluxtwin.__all__:
+        verb = getattr(fluxtwin, name)
+        if inspect.isfunction(verb):
+            said = inspect.getdoc(verb) or ""
+            unsaid = [one for one in inspect.signature(verb).parameters if not re.search(rf"\b{one}(, \w+)*: ", said)]
+            assert not unsaid, f"fluxtwin.{name}"
+            assert "<function" not in str(inspect.signature(verb)), name

@@ -56,14 +56,14 @@ def fly_ensemble(
     executor: Executor | None = None,
     progress: Progress = silent,
 ) -> Ensemble:
-    """Fly so many vehicles of a scenario with [draws] and leave the results in the folder `out`.
+    """Fly vehicles of a scenario with [draws] and leave the results in a folder.
 
-    seed: of the draws and of all that is random; the scenario's own where not given. jobs: processes, all cores where not
-    given. in_chunk: vehicles that are held in memory and written at a time, and the step of the progress. resume: go on
-    with what is in the folder, if it is the same ensemble. scheduler: the address of a Dask scheduler whose workers fly the
-    chunks. executor: one like those of `concurrent.futures` that flies them; the chunks are written here.
-    Raises BadInput for an impossible scenario or vehicle, or a folder with another ensemble, and NoAnswer where
-    every vehicle was lost.
+    vehicles: how many, from 1. out: the path of the folder. seed: of the draws and of all that is random; the scenario's own
+    where not given. jobs: processes, all cores where not given. in_chunk: vehicles that are held in memory and written at a
+    time, and the step of the progress. resume: go on with what is in the folder, if it is the same ensemble. scheduler: the
+    address of a Dask scheduler whose workers fly the chunks. executor: one like those of `concurrent.futures` that flies
+    them; the chunks are written here. Raises BadInput for an impossible scenario or vehicle, or a folder with another
+    ensemble, and NoAnswer where every vehicle was lost.
     """
     plan_of = load_scenario(scenario) if isinstance(scenario, Path | str) else scenario
     require_workers(jobs, scheduler)

@@ -503,6 +503,8 @@ def test_stamps_out_of_order_are_a_trap_and_repair_mends_them(model: FieldModel,
         read_telemetry(path)
     found = check_file(path, model)
     assert {"time_not_increasing", "time_repeated", "conflicting_rows"} <= {finding.code for finding in found.traps}
+    assert found.samples == len(record) + 2, "the rows of the file"
+    assert f"dropped: 1 of {len(record) + 2} rows" in found.report()
     before = path.read_bytes()
     mended = repair(path, tmp_path / "out.nc")
     by_code = {finding.code: finding for finding in mended.findings}

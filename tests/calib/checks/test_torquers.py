@@ -22,8 +22,12 @@ def test_a_record_with_torquers_on_is_no_trap(cubesat: Telemetry) -> None:
     assert found.traps == ()
     assert "--parameters b,S,T" in next(note.text for note in found.notes if note.code == "torquers_on")
     assert cubesat.q_NB is not None
-    wrong = cubesat.replace(q_NB=cubesat.q_NB * [-1.0, -1.0, -1.0, 1.0])
-    assert fluxtwin.check(wrong).traps, "torquers excuse nothing else"
+    for wrong, code in (
+        (cubesat.replace(q_NB=cubesat.q_NB * [-1.0, -1.0, -1.0, 1.0]), "attitude_convention"),
+        (cubesat.replace(time=cubesat.time + np.timedelta64(3600, "s")), "clock"),
+        (cubesat.replace(mag_B_nT=cubesat.mag_B_nT[:, [1, 0, 2]]), "magnetometer_axes"),
+    ):
+        assert [trap.code for trap in fluxtwin.check(wrong).traps] == [code], "torquers neither excuse nor hide it"
     bare = cubesat.replace(dipole_B_Am2=None)
     assert fluxtwin.check(bare).traps, "nor what nobody recorded"
 

@@ -177,9 +177,15 @@ def test_a_load_that_lasts_is_no_noise(seasat: Any) -> None:
 def test_an_uncertain_bias_hides_no_scale_error(seasat: Any) -> None:
     """S of a percent, not estimated, leaves 250 nT along the field and a bias known to 160 nT. That a calibration is
     uncertain excuses no more than a field model does, and the answer is to estimate S, not to check the file."""
-    verdict = fitted(flown(seasat), seasat, parameters="b").verdict
+    record = flown(seasat)
+    verdict = fitted(record, seasat, parameters="b").verdict
     assert verdict is not None and verdict.level == "usable"
     assert verdict.next_step == "fluxtwin calibrate TELEMETRY --parameters b,S"
+    worse = fitted(record.replace(mag_B_nT=record.mag_B_nT * [1.12, 0.92, 1.04]), seasat, parameters="b").verdict
+    assert worse is not None and worse.impossible and "S (which was not estimated), clock" in worse.lines[1]
+    assert worse.next_step == verdict.next_step
+    counts = fitted(record.replace(mag_B_nT=record.mag_B_nT / 100.0), seasat, parameters="b").verdict
+    assert counts is not None and counts.impossible and counts.next_step.startswith("fluxtwin check")
 
 
 def test_a_slow_load_does_not_excuse_itself(seasat: Any) -> None:

@@ -178,6 +178,14 @@ def test_updated_changes_only_what_is_named():
     assert scenario.updated({"gyro.noise_deg_s": None}) == scenario, "no gyro is switched on"
 
 
+def test_arrays_may_be_anywhere_in_what_is_changed() -> None:
+    S = np.diag([0.01, -0.02, 0.03])
+    x, y, z = S
+    for changes in ({"magnetometer.S": S}, {"magnetometer": {"S": S}}, {"magnetometer": {"S": (x, list(y), z)}}):
+        changed = parse_scenario(SMALL).updated(changes | {"seed": np.int64(3)})
+        assert np.array_equal(changed.magnetometer.S, S)
+
+
 def test_units_are_exclusive_and_convert():
     # 1 mG = 100 nT by definition.
     unknown = "[magnetometer.unknown]\nrms_mG = 0.7\n"

@@ -89,7 +89,7 @@ def test_rows_of_a_file_by_time_and_by_any_of_its_columns(tmp_path: Path) -> Non
     day = datetime.date(2026, 3, 1)
     assert selection(day).start == np.datetime64("2026-03-01T00:00", "ns")
     assert len(fluxtwin.read(path, start=day, end=day + datetime.timedelta(days=1))) == 4
-    for name, option in (("start", "--from: 5 is no time"), ("end", "--to: 5 is no time")):
+    for name, option in (("start", "start: 5 is no time"), ("end", "end: 5 is no time")):
         with pytest.raises(BadInput, match=option):
             fluxtwin.read(path, **{name: 5})  # type: ignore[arg-type]
     assert "2 of 4 rows were taken" in fluxtwin.read(path, where="mode == 4").provenance["notices"]

@@ -360,7 +360,7 @@ def test_a_trap_in_the_file_is_named_before_the_answer(late: Case, cli: Cli, tmp
     record = late.record.select(slice(0, 60))  # half an hour shows the trap; the search has less to explain
     assert record.q_NB is not None
     write_telemetry(record.replace(q_NB=record.q_NB * np.array([-1.0, -1.0, -1.0, 1.0])), tmp_path / "turned.csv")
-    result = cli("diagnose", tmp_path / "turned.csv", *FLAGS)
+    result = cli("diagnose", tmp_path / "turned.csv", *WIDE)
     said = " ".join((result.out + result.err).split())
     assert result.status == 0
     assert "conjugated" in said

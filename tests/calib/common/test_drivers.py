@@ -116,11 +116,17 @@ def error_of_drivers(fit: Fit) -> FloatArray:
 
 
 @cache
+def fits() -> tuple[Fit, ...]:
+    """One for each seed, both ways in turn."""
+    methods = ("linear", "forward")
+    return tuple(fit_of(flown(seed), method=methods[seed % 2], driver=["array", "payload"]) for seed in range(RUNS))
+
+
+@cache
 def runs() -> tuple[tuple[FloatArray, FloatArray, FloatArray, FloatArray], ...]:
     """For each seed: errors of S and b with their covariance, and those of the drivers."""
     made = []
-    for seed in range(RUNS):
-        fit = fit_of(flown(seed), method=("linear", "forward")[seed % 2], driver=["array", "payload"])
+    for fit in fits():
         error = fit.calibration.values - np.concatenate([S.ravel(), B_NT])
         made.append((error, fit.calibration.covariance, error_of_drivers(fit), fit.driver_covariance))
     return tuple(made)
@@ -277,8 +283,8 @@ def test_a_strong_field_is_found_as_late_as_it_is(lateness: list[tuple[float, fl
 
 
 def test_a_field_that_is_not_late_is_not_called_late() -> None:
-    """At most one of these 16 columns: by chance one in a hundred is."""
-    found = [fit_of(flown(seed), driver=["all"]).calibration.telemetry_bias for seed in range(8)]
+    """At most one of these 20 columns: by chance one in a hundred is."""
+    found = [fit.calibration.telemetry_bias for fit in fits()]
     assert sum(bool(one.delay_s or one.lag_s) for biases in found for one in biases.values()) <= 1
 
 
@@ -516,7 +522,7 @@ def test_what_can_be_distinguished_beside_the_field() -> None:
 
 def test_a_driver_that_is_not_modelled_is_said_to_be_a_slow_error_and_not_noise(close) -> None:
     """The fields are 40 nT rms, the noise of a reading 10 nT; what is expected is of the noise that the verdict states."""
-    without, with_them = (fit_of(flown(0), driver=names) for names in ((), tuple(K)))
+    without, with_them = fit_of(flown(0)), fits()[0]
     for fit, slow in ((without, True), (with_them, False)):
         (words,) = (message for message in fit.messages if message.startswith("covariance"))
         assert ("slow errors of" in words, "white noise of" in words) == (slow, False), words

@@ -221,6 +221,7 @@ def strongly_late(seed: int, delays_s: tuple[float, ...]) -> tuple[Telemetry, Fl
     return record.replace(mag_B_nT=B + field, drivers=currents), field
 
 
+@pytest.mark.usefixtures("few_draws")
 @pytest.mark.parametrize("seed", [31, 32])
 @pytest.mark.parametrize("delays_s", [(40.0,), (40.0, 55.0, 25.0)])
 def test_a_strong_field_that_is_late_leaves_no_outliers(delays_s: tuple[float, ...], seed: int) -> None:
@@ -242,6 +243,7 @@ def test_a_strong_field_that_is_late_leaves_no_outliers(delays_s: tuple[float, .
     assert np.median(np.abs(left)) < 10.0, "less than the noise, but for rows in which it switches"
 
 
+@pytest.mark.usefixtures("few_draws")
 @pytest.mark.parametrize(
     ("lateness", "options"),
     [
@@ -387,6 +389,7 @@ def test_a_value_that_is_missing_stays_missing_where_the_field_is_late(lateness_
     assert np.abs(there - whole)[known_rows].max() < 1.03 * most_nT
 
 
+@pytest.mark.usefixtures("few_draws")
 @pytest.mark.parametrize("method", ["linear", "forward", "scalar"])
 def test_of_all_columns_those_that_drive_are_kept_and_the_others_named(method: str) -> None:
     record, rng = flown(3), stream(3, "test.junk")
@@ -406,6 +409,7 @@ def test_of_all_columns_those_that_drive_are_kept_and_the_others_named(method: s
     assert "driver_rare was not tried: it is known in 33 % of the rows" in said
 
 
+@pytest.mark.usefixtures("few_draws")
 def test_where_none_drives_none_is_kept() -> None:
     record, rng = flown(4), stream(4, "test.junk")
     quiet = record.replace(

@@ -120,7 +120,7 @@ def _turn_into(out: FloatArray, c: FloatArray, s: FloatArray, v: FloatArray | Se
     out[2] = v[2]
 
 
-def _cross(a: Sequence[FloatArray], b: Sequence[FloatArray]) -> list[FloatArray]:
+def _cross(a: FloatArray | Sequence[FloatArray], b: FloatArray | Sequence[FloatArray]) -> list[FloatArray]:
     """The three components (N,) of a x b, of those of a and b."""
     return [a[j] * b[k] - a[k] * b[j] for j, k in ((1, 2), (2, 0), (0, 1))]
 

@@ -157,7 +157,7 @@ def measure(runs: dict[str, Contestant], repeats: int) -> tuple[dict[str, float]
                 print(f"\rrepeat {repeat + 1} of {repeats}: {name:<40}", end="", file=sys.stderr)
             started = time.process_time()
             answers[name] = run()
-            seconds[name].append(time.process_time() - started)
+            seconds[name].append(max(time.process_time() - started, 1e-9))  # a coarse clock may not have moved
     if sys.stderr.isatty():
         print(f"\r{'':<60}\r", end="", file=sys.stderr)
     return {name: statistics.median(times) for name, times in seconds.items()}, answers, first

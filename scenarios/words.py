@@ -122,6 +122,7 @@ class Words:
         }
         self._jinja.filters |= filters or {}
         self._sections: dict[str, Template] = {}
+        self._expressions: dict[str, Callable[..., Any]] = {}
         for file in files or ("words.md",):
             first, *parts = _SECTION.split(self._text(file))
             for name, body in zip(parts[::2], parts[1::2], strict=True):
@@ -276,7 +277,9 @@ class Words:
         return {**more, **{key: self._entry(part, names) for key, part in table.items()}}
 
     def _value(self, expression: str, names: Mapping[str, Any]) -> Any:
-        found = self._jinja.compile_expression(expression, undefined_to_none=False)(**names)
+        if expression not in self._expressions:  # a column has the same one in each row
+            self._expressions[expression] = self._jinja.compile_expression(expression, undefined_to_none=False)
+        found = self._expressions[expression](**names)
         if isinstance(found, Undefined):
             raise UndefinedError(f"{self._package}: {expression}")
         return found

@@ -161,6 +161,14 @@ def lawless() -> Iterator[None]:
         yield
 
 
+@pytest.fixture
+def few_draws(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The sizes of a fit's errors from a third of the draws, which take most of the time of a calibration; for tests that
+    are about something else than its sigmas."""
+    for name, count in (("_BURN", 80), ("_KEPT", 120), ("_STATES", 10)):
+        monkeypatch.setattr(f"fluxtwin.calib.common.error_model.{name}", count)
+
+
 @pytest.fixture(scope="module")
 def small_figures() -> Iterator[None]:
     """Figures of pages with a few dots; for files that look at no picture."""

@@ -17,12 +17,16 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def orders(folder: Path, *, runs: int, loaded: int, tests: str = "tests") -> Row:
-    """As many runs, each in an order of its own; the last ones beside one busy process for each core."""
+    """As many runs, each in an order of its own; the last ones beside one busy process for each core.
+
+    A single file takes one process: its tests stay together, and others would only start.
+    """
     row, loads = Row("tests in a random order that fail"), []
+    workers = "0" if tests.endswith(".py") else "auto"
     with timed(row):
         for run in range(runs):
             seed, report = secrets.randbelow(2**32), folder / f"{run}.xml"
-            command = [sys.executable, "-m", "pytest", "-q", "-n", "auto", "-p", "no:cacheprovider"]
+            command = [sys.executable, "-m", "pytest", "-q", "-n", workers, "-p", "no:cacheprovider"]
             command += [f"--shuffle={seed}", f"--junitxml={report}", tests]
             with _load(run >= runs - loaded):
                 done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)

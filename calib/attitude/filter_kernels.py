@@ -31,12 +31,10 @@ GATE = 5.0
 def _turned(A: FloatArray, v: FloatArray) -> FloatArray:
     """exp(-[v x]) A, and a rotation again where rounding has made it none."""
     out = product(passive(v), A)
-    far = np.zeros((3, 3))  # of its columns from orthonormal ones
+    far = np.empty((3, 3))  # of its columns from orthonormal ones
     for i in range(3):
         for k in range(3):
-            for j in range(3):
-                far[i, k] += out[j, i] * out[j, k]
-            far[i, k] *= -0.5
+            far[i, k] = -0.5 * (out[0, i] * out[0, k] + out[1, i] * out[1, k] + out[2, i] * out[2, k])
         far[i, i] += 1.5
     return product(out, far)
 
@@ -54,21 +52,21 @@ def _propagate(A: FloatArray, w: FloatArray, x: FloatArray, P: FloatArray, h: fl
     for i in range(3):  # side: of the turn by an error of the rate
         for j in range(3):
             side[i, j] = h * ((1.0 if i == j else 0.0) - first * W[i, j] + second * side[i, j])
-    old = np.empty(3)
-    for rows in (True, False):
+    new = np.zeros((3, x.size))  # rows first, each along its length, and then columns
+    for i in range(3):
+        for j in range(3):
+            for k in range(x.size):
+                new[i, k] += turn[i, j] * P[j, k] + side[i, j] * P[3 + j, k]
+    for i in range(3):
         for k in range(x.size):
-            for i in range(3):
-                old[i] = 0.0
-                for j in range(3):
-                    if rows:
-                        old[i] += turn[i, j] * P[j, k] + side[i, j] * P[3 + j, k]
-                    else:
-                        old[i] += turn[i, j] * P[k, j] + side[i, j] * P[k, 3 + j]
-            for i in range(3):
-                if rows:
-                    P[i, k] = old[i]
-                else:
-                    P[k, i] = old[i]
+            P[i, k] = new[i, k]
+    for k in range(x.size):
+        for i in range(3):
+            new[i, 0] = 0.0
+            for j in range(3):
+                new[i, 0] += turn[i, j] * P[k, j] + side[i, j] * P[k, 3 + j]
+        for i in range(3):
+            P[k, i] = new[i, 0]
     for i in range(3):
         q = noise[WALK + i] ** 2 * h
         P[i, i] += q * h * h / 3.0
@@ -81,6 +79,7 @@ def _propagate(A: FloatArray, w: FloatArray, x: FloatArray, P: FloatArray, h: fl
         x[i] *= keep
         for k in range(x.size):
             P[i, k] *= keep
+        for k in range(x.size):
             P[k, i] *= keep
         P[i, i] += sigma**2 * (1.0 - keep * keep)
     return product(turn, A)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Container, Iterable
+from functools import cache
 
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
@@ -136,10 +137,11 @@ def predictions(sample: Sample, model: FieldModel, origin: Origin, shifts: Itera
     out: dict[float, FloatArray] = {}
     tried, _ = list(shifts), sample.R_EN  # computed once, for all shifts
     size = max(ROWS_AT_ONCE // len(sample), 1)
+    repeated = cache(lambda count: sample.take(np.tile(np.arange(len(sample)), count)))
     for first in range(0, len(tried), size):
         some = tried[first : first + size]
         try:
-            out |= _together(sample, model, origin, some)
+            out |= _together(repeated(len(some)), model, origin, some)
         except OutOfRange:
             for shift_s in some:
                 with contextlib.suppress(OutOfRange):
@@ -147,12 +149,12 @@ def predictions(sample: Sample, model: FieldModel, origin: Origin, shifts: Itera
     return out
 
 
-def _together(sample: Sample, model: FieldModel, origin: Origin, shifts: list[float]) -> dict[float, FloatArray]:
-    """`predictions` of a few shifts, all of which must be in reach, in one evaluation."""
-    rows = np.tile(np.arange(len(sample)), len(shifts))
-    field, R_BN = shifted(sample.take(rows), model, origin, np.repeat(shifts, len(sample)))
+def _together(rows: Sample, model: FieldModel, origin: Origin, shifts: list[float]) -> dict[float, FloatArray]:
+    """`predictions` of a few shifts, all of which must be in reach, in one evaluation. rows: the sample, once for each."""
+    count = len(rows) // len(shifts)
+    field, R_BN = shifted(rows, model, origin, np.repeat(shifts, count))
     reading = field if R_BN is None else R_BN.apply(field)
-    return dict(zip(shifts, reading.reshape(len(shifts), len(sample), 3), strict=True))
+    return dict(zip(shifts, reading.reshape(len(shifts), count, 3), strict=True))
 
 
 def check_clock(sample: Sample, model: FieldModel, origin: Origin) -> list[Finding]:
@@ -327,7 +329,6 @@ def _evidence(sample: Sample, fields: list[FloatArray]) -> Evidence:
     readings = np.einsum("nik,nl->nikl", turn, sample.mag_nT / 1e4).reshape(len(sample), 3, 9)
     leaning = np.stack([np.cross(axis, field) for axis in np.eye(3)], axis=2)
     design = np.concatenate([readings, turn, leaning], axis=2)
-    rhs = np.stack([R_NB.apply(predicted - sample.mag_nT) for predicted in fields], axis=2)
     starts = np.unique(np.linspace(0, len(sample), BLOCKS, endpoint=False).astype(int))
     sizes = np.diff(np.append(starts, len(sample))).astype(float)
 
@@ -336,7 +337,8 @@ def _evidence(sample: Sample, fields: list[FloatArray]) -> Evidence:
         return np.asarray(total / sizes.reshape(-1, *([1] * (values.ndim - 1))))
 
     sigmas = np.append(VECTOR_SIGMAS_nT, [LEANING_RAD] * 3)
-    return compare(mean(seconds), mean(design), mean(rhs), sigmas, mean(field), step_nT(sample.mag_nT))
+    rhs = np.stack([mean(R_NB.apply(predicted - sample.mag_nT)) for predicted in fields], axis=2)
+    return compare(mean(seconds), mean(design), rhs, sigmas, mean(field), step_nT(sample.mag_nT))
 
 
 def _what_shows(shows: dict[float, bool], shifts: dict[float, str], plain: Iterable[float], origin: Origin) -> Finding:

@@ -113,11 +113,12 @@ def compare(
     squared = scales[:, None] ** 2
     X = (design * sigmas_nT).reshape(n * d, -1)
     Y = rhs.reshape(n * d, count)
+    both = np.asfortranarray(np.hstack([X, Y]))  # as LAPACK wants it
     best = np.full(count, -np.inf)
     misfit, coefficients = np.zeros(count), np.zeros((X.shape[1], count))
     for number, covariance in enumerate(_covariances(seconds, lever, n, d)):
         factor = cholesky(covariance, lower=True, check_finite=False)
-        whitened = solve_triangular(factor, np.hstack([X, Y]), lower=True, check_finite=False)
+        whitened = solve_triangular(factor, both, lower=True, check_finite=False)
         Xw, Yw = whitened[:, : X.shape[1]], whitened[:, X.shape[1] :]
         # The normal equations in the axes where the prior is one and the design is diagonal.
         weights, axes = np.linalg.eigh(Xw.T @ Xw)

@@ -195,26 +195,30 @@ class _Likelihood:
         most = np.log(most / np.sqrt(K * np.trace(of.white)))
         self.low[_SIZES] -= most
         self.high[_SIZES] += _QUIETER - most
+        self.lowest, self.highest = self.low.tolist(), self.high.tolist()
+        self.root_freedom = np.sqrt(self.freedom)
+        self.gram = np.empty((columns.shape[2],) * 2)
 
     def __call__(self, p: FloatArray) -> tuple[float, float]:
         """Its value at p, and the factor of the white noise."""
         from fluxtwin.calib.common.error_kernels import whitened_gram
 
         size = _sizes(p)
-        if not ((self.low <= size) & (size <= self.high)).all():
+        # A few numbers as numbers of Python: this is asked some thousand times a fit, and arrays of five take longer.
+        if not all(low <= one <= high for low, one, high in zip(self.lowest, size.tolist(), self.highest, strict=True)):
             return -np.inf, 1.0
         theta, *others = np.exp(size).tolist()
-        gram = np.empty((self.cells[0].shape[2],) * 2)
-        value = -0.5 * whitened_gram(*self.cells, (0.0 if self.white else theta, *others), gram)
+        value = -0.5 * whitened_gram(*self.cells, (0.0 if self.white else theta, *others), self.gram)
         try:
-            root = np.diag(np.linalg.cholesky(gram))  # the last: of the weighted sum of squares left
+            root = np.linalg.cholesky(self.gram).diagonal()  # the last: of the weighted sum of squares left
         except np.linalg.LinAlgError:
             return -np.inf, 1.0
-        factor = float(root[-1] / np.sqrt(self.freedom))
-        value -= float(np.log(root[:-1]).sum()) + self.freedom * np.log(factor)
-        size[_SIZES] += np.log(factor)
+        factor = float(root[-1] / self.root_freedom)
+        log_factor = np.log(factor)
+        value -= float(np.log(root[:-1]).sum()) + self.freedom * log_factor
         if self.log_sigma is not None:
-            both = size[2] if self.white else 0.5 * np.logaddexp(2.0 * size[0], 2.0 * size[2])
+            apart, white = size[0] + log_factor, size[2] + log_factor
+            both = white if self.white else 0.5 * np.logaddexp(2.0 * apart, 2.0 * white)
             value -= 0.5 * ((both - self.log_sigma) / _LOG_SD) ** 2
         if self.log_tau is not None:
             value -= 0.5 * ((p[1] - self.log_tau) / _TAU_LOG_SD) ** 2

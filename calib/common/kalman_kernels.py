@@ -1,6 +1,7 @@
 """The compiled parts that Kalman filters share: small matrices, turns, one measurement.
 
-Loops, not products of matrices: for so few numbers a library call costs more, and each costs the compiler a second.
+Loops, not products of matrices: for so few numbers a library call costs more, and each costs the compiler a second. Nor
+arrays for what is needed in between: to make one takes as long as to fill it.
 """
 
 from __future__ import annotations
@@ -53,26 +54,32 @@ def passive(v: FloatArray) -> FloatArray:
     angle = math.sqrt(v[0] ** 2 + v[1] ** 2 + v[2] ** 2)
     first = math.sin(angle) / angle if angle > 1e-9 else 1.0
     second = 2.0 * (math.sin(0.5 * angle) / angle) ** 2 if angle > 1e-9 else 0.5
-    W = skew(v)
-    return np.eye(3) - first * W + second * product(W, W)
+    x, y, z = v[0], v[1], v[2]
+    out = np.empty((3, 3))  # 1 - first W + second W W, of W = skew(v)
+    out[0, 0], out[1, 1] = 1.0 + second * (-z * z - y * y), 1.0 + second * (-z * z - x * x)
+    out[2, 2] = 1.0 + second * (-y * y - x * x)
+    out[0, 1], out[0, 2] = first * z + second * (y * x), -(first * y) + second * (z * x)
+    out[1, 0], out[1, 2] = -(first * z) + second * (x * y), first * x + second * (z * y)
+    out[2, 0], out[2, 1] = first * y + second * (x * z), -(first * x) + second * (y * z)
+    return out
 
 
 @part()
 def whitened(V: FloatArray, r: FloatArray, L: FloatArray) -> tuple[float, float]:
-    """r' V^-1 r and the logarithm of det V; fills L, lower, L L' = V."""
+    """r' V^-1 r and the logarithm of det V; fills L (m, m + 1): lower, L L' = V, and L^-1 r behind it."""
     total, log_det = 0.0, 0.0
-    y = np.empty(r.size)
     for i in range(r.size):
         for j in range(i + 1):
             value = V[i, j]
             for k in range(j):
                 value -= L[i, k] * L[j, k]
             L[i, j] = math.sqrt(value) if i == j else value / L[j, j]
-        y[i] = r[i]
+        y = r[i]
         for k in range(i):
-            y[i] -= L[i, k] * y[k]
-        y[i] /= L[i, i]
-        total += y[i] * y[i]
+            y -= L[i, k] * L[k, r.size]
+        y /= L[i, i]
+        L[i, r.size] = y
+        total += y * y
         log_det += 2.0 * math.log(L[i, i])
     return total, log_det
 
@@ -87,7 +94,7 @@ def update(
     the squared innovation over its covariance, a component, minus twice the log likelihood, whether R was inflated.
     """
     n, m = x.size, r.size
-    HP, V, L, left = np.zeros((m, n)), np.empty((m, m)), np.empty((m, m)), np.empty(m)
+    HP, V, L, left = np.zeros((m, n)), np.empty((m, m)), np.empty((m, m + 1)), np.empty(m)
     for j in range(m):
         left[j] = r[j]
         for i in range(n):

@@ -170,7 +170,7 @@ def solve(rows: GyroRows, weights: FloatArray, *, start: Solved | None = None, c
         if start is None and turn == _ROUNDS // 2:
             some = stretches[:: -(-len(stretches) // _FOR_RATIO)]
             ratio = _ratio(some, m, true, d, weights, freedom * len(some) / len(stretches), with_S=with_S)
-        parts = [_cleared(one, m, true, d, weights, ratio, with_S=with_S) for one in stretches]
+        parts = [_cleared(_uncleared(one, m, true, d, weights, with_S=with_S), ratio) for one in stretches]
         theta, normal = _least_squares(parts, variance if corrected and with_S else 0.0)
         variance = sum(float(((one.y - one.G @ theta) ** 2).sum()) for one in parts) / freedom
         S = (BASIS_S @ theta[:free]).reshape(3, 3) if with_S else S
@@ -235,8 +235,10 @@ def _ratio(
 ) -> float:
     """Variance of a rate [rad^2/s^2] over that of a reading in parts of the field, of the greatest restricted likelihood."""
 
+    uncleared = [_uncleared(one, m, true, d, weights, with_S=with_S) for one in stretches]
+
     def minus_log(log_ratio: float) -> float:
-        parts = [_cleared(one, m, true, d, weights, float(np.exp(log_ratio)), with_S=with_S) for one in stretches]
+        parts = [_cleared(one, float(np.exp(log_ratio)), scored=False) for one in uncleared]
         theta, normal = _least_squares(parts, 0.0)
         left = sum(float(((one.y - one.G @ theta) ** 2).sum()) for one in parts)
         logs = sum(one.log_determinant for one in parts)
@@ -252,19 +254,35 @@ def _ratio(
     return float(np.exp(found.x))
 
 
-def _cleared(
+class _Uncleared(NamedTuple):
+    """One stretch before its noises are known."""
+
+    whole: FloatArray
+    """(3 n, q + p + t) derivatives by the field, by the parameters, and what is fitted."""
+    fields: int
+    """q."""
+    fitted: int
+    """t."""
+    of_noise: FloatArray
+    """(3 n, 3 n) of unit errors of each rate."""
+    of_turns: FloatArray
+    """(3 n, 3 n) covariance of what errors of each rate do, for unit variance."""
+    of_readings: FloatArray
+    """(3 n, 3 n) of the readings, likewise."""
+
+
+def _uncleared(
     one: Stretch,
     m: FloatArray,
     true: FloatArray,
     d: FloatArray,
     weights: FloatArray,
-    ratio: float,
     *,
     with_S: bool,
     fitted: FloatArray | None = None,
-) -> Cleared:
-    """The stretch's rows for S, fields of columns d (N, J), c and a change of the gyro's bias, and the reading, or what is
-    `fitted` (N, 3, t) in its place, cleared of its own field."""
+) -> _Uncleared:
+    """The stretch's rows for its field, S, fields of columns d (N, J), c and a change of the gyro's bias, and the reading,
+    or what is `fitted` (N, 3, t) in its place."""
     n, here, B = len(one.rows), m[one.rows], true[one.rows]
     columns = []
     if with_S:
@@ -277,19 +295,27 @@ def _cleared(
     of_noise = _of_gyro_noise(one, cross)
     reading = here.reshape(3 * n, 1) if fitted is None else fitted[one.rows].reshape(3 * n, -1)
     whole = np.hstack([field, *columns, reading - of_noise @ one.errors_rad_s.reshape(3 * n, 1)])
-    V = np.diag(np.repeat(1.0 / np.maximum(weights[one.rows], _LEAST_WEIGHT), 3)) + ratio * (of_noise @ of_noise.T)
-    half = np.linalg.cholesky(V)
-    white = solve_triangular(half, whole, lower=True)
-    q = field.shape[1]
+    of_readings = np.diag(np.repeat(1.0 / np.maximum(weights[one.rows], _LEAST_WEIGHT), 3))
+    return _Uncleared(whole, field.shape[1], reading.shape[1], of_noise, of_noise @ of_noise.T, of_readings)
+
+
+def _cleared(one: _Uncleared, ratio: float, *, scored: bool = True) -> Cleared:
+    """Whitened and cleared of its own field. scored: whether scores, errors or weights of its rows are wanted."""
+    half = np.linalg.cholesky(one.of_readings + ratio * one.of_turns)
+    white = solve_triangular(half, one.whole, lower=True)
+    q, at = one.fields, one.whole.shape[1] - one.fields - one.fitted
     Q, triangle = np.linalg.qr(white[:, :q])
     rest = white[:, q:] - Q @ (Q.T @ white[:, q:])
-    down = solve_triangular(half, np.eye(3 * n), lower=True)
-    back = (down - Q @ (Q.T @ down)).T
-    weight = np.einsum("kia,kja->kij", *[back.reshape(n, 3, 3 * n)] * 2)
     log = 2.0 * float(np.log(np.diag(half)).sum() + np.log(np.abs(np.diag(triangle))).sum())
-    at = rest.shape[1] - reading.shape[1]
-    y = rest[:, at] if fitted is None else rest[:, at:]
-    return Cleared(rest[:, :at], y, weight, log, back, -ratio * of_noise.T)
+    weight = back = to_errors = np.zeros((0, 0, 0))
+    if scored:
+        size = len(half)
+        down = solve_triangular(half, np.eye(size), lower=True)
+        back = (down - Q @ (Q.T @ down)).T
+        weight = np.einsum("kia,kja->kij", *[back.reshape(-1, 3, size)] * 2)
+        to_errors = -ratio * one.of_noise.T
+    y = rest[:, at] if one.fitted == 1 else rest[:, at:]
+    return Cleared(rest[:, :at], y, weight, log, back, to_errors)
 
 
 def _of_gyro_noise(one: Stretch, cross: FloatArray) -> FloatArray:
@@ -324,7 +350,7 @@ def drops(
     whole, at = np.ones(len(y)), (8 if with_S else 0) + 3 * fixed.shape[1]
     gram = np.zeros((at + 6 + 3 * tried.shape[1] + len(beyond),) * 2)
     for one in rows.followed(solved.bias_rad_s, solved.errors_rad_s):
-        clear = _cleared(one, y[..., 0], true, d, whole, ratio, with_S=with_S, fitted=y)
+        clear = _cleared(_uncleared(one, y[..., 0], true, d, whole, with_S=with_S, fitted=y), ratio, scored=False)
         seen = np.column_stack([clear.G[:, :at], clear.G[:, -6:], clear.G[:, at:-6], clear.y])
         gram += seen.T @ seen
     return drops_of(gram * scale**2 / solved.variance_nT2, at + 6, beyond)

@@ -9,6 +9,7 @@ Sedlak 2008 write the same motion with L and J; here the three are free, so that
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -76,16 +77,20 @@ class SpinMotion(NamedTuple):
         n = self.Om_N_rad_s / rate
         v = self.unspun(t_s, v_N)
         u, spin = v @ self.A0.T, self.lam_rad_s * t_s
-        y = about_z(spin, u)
-        out = np.zeros((len(t_s), 3, 7))
-        slow, fast = ((1.0 - np.cos(rate * t_s)) / rate)[:, None], (t_s - np.sin(rate * t_s) / rate)[:, None]
+        c, s = np.cos(spin), np.sin(spin)
+        y = _turned(c, s, u)
+        # Component by component: loops over three numbers in each row would take most of the time.
+        none, (u0, u1, u2), v = np.zeros(len(t_s)), u.T, np.ascontiguousarray(v.T)
+        out = np.zeros((7, 3, len(t_s)))
+        slow, fast = (1.0 - np.cos(rate * t_s)) / rate, t_s - np.sin(rate * t_s) / rate
+        by_axes = (none, u2, -u1), (-u2, none, u0), (u1, -u0, none)  # u x axis
         for k, axis in enumerate(np.eye(3)):
-            out[:, :, k] = about_z(spin, np.cross(u, axis))
+            _turn_into(out[k], c, s, by_axes[k])
             across = np.cross(n, axis)
-            turned = t_s[:, None] * axis - slow * across + fast * np.cross(n, across)
-            out[:, :, 3 + k] = about_z(spin, np.cross(v, turned) @ self.A0.T)
-        out[:, 0, 6], out[:, 1, 6] = y[:, 1] * t_s, -y[:, 0] * t_s
-        return y, out
+            turned = [t_s * a - slow * b + fast * d for a, b, d in zip(axis, across, np.cross(n, across), strict=True)]
+            _turn_into(out[3 + k], c, s, (np.stack(_cross(v, turned), axis=1) @ self.A0.T).T)
+        out[6, 0], out[6, 1] = y[:, 1] * t_s, -y[:, 0] * t_s
+        return y, np.ascontiguousarray(out.transpose(2, 1, 0))
 
     def unspun(self, t_s: FloatArray, v_N: FloatArray) -> FloatArray:
         """(N, 3) exp(-[Om x] t) v."""
@@ -98,8 +103,26 @@ class SpinMotion(NamedTuple):
 
 def about_z(angle_rad: FloatArray, v: FloatArray) -> FloatArray:
     """(N, 3) Rz(angle) v: components in axes turned by the angle about z."""
-    c, s = np.cos(angle_rad), np.sin(angle_rad)
-    return np.stack([c * v[:, 0] + s * v[:, 1], c * v[:, 1] - s * v[:, 0], v[:, 2]], axis=1)
+    return _turned(np.cos(angle_rad), np.sin(angle_rad), v)
+
+
+def _turned(c: FloatArray, s: FloatArray, v: FloatArray) -> FloatArray:
+    """`about_z` by cosines and sines (N,)."""
+    out = np.empty((len(v), 3))
+    _turn_into(out.T, c, s, v.T)
+    return out
+
+
+def _turn_into(out: FloatArray, c: FloatArray, s: FloatArray, v: FloatArray | Sequence[FloatArray]) -> None:
+    """The same, of and into the three components (3, N)."""
+    np.add(c * v[0], s * v[1], out=out[0])
+    np.subtract(c * v[1], s * v[0], out=out[1])
+    out[2] = v[2]
+
+
+def _cross(a: FloatArray | Sequence[FloatArray], b: FloatArray | Sequence[FloatArray]) -> list[FloatArray]:
+    """The three components (N,) of a x b, of those of a and b."""
+    return [a[j] * b[k] - a[k] * b[j] for j, k in ((1, 2), (2, 0), (0, 1))]
 
 
 def cross_by(n: FloatArray, v: FloatArray) -> FloatArray:

@@ -5,8 +5,10 @@ from __future__ import annotations
 import itertools
 import json
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from datetime import datetime
+from functools import cache
 
 import numpy as np
 
@@ -170,7 +172,16 @@ def _doubt(found: Sequence[str]) -> str:
 
 
 def _fits(cells: Sequence[str], form: str) -> bool:
+    # strptime makes a pattern anew for nearly each of some hundred formats, a millisecond each: few are in question.
+    if not cells or not _literals(form) <= Counter(cells[0].upper()):
+        return False
     try:
-        return bool(cells) and all(datetime.strptime(cell, form) for cell in cells)
+        return all(datetime.strptime(cell, form) for cell in cells)
     except ValueError:
         return False
+
+
+@cache
+def _literals(form: str) -> Counter[str]:
+    """The characters that stand in a stamp as they stand in its format, in either case; blanks stand for any number."""
+    return Counter(re.sub(r"%[A-Za-z]|\s", "", form).upper())

@@ -180,7 +180,8 @@ def test_next_is_a_command_that_runs(late: Case, cli: Cli, tmp_path: Path, monke
     )
     assert " ".join(late.out.split()).endswith(simulate_it)
     monkeypatch.chdir(tmp_path)
-    write_telemetry(simulate(fluxtwin.load_scenario("late_clock"))[0], tmp_path / "my flight.csv")
+    flown, _ = simulate(fluxtwin.load_scenario("late_clock"))
+    write_telemetry(flown.select(slice(0, len(flown) // 2)), tmp_path / "my flight.csv")
     answer = cli("diagnose", "my flight.csv", "--close", "my closed.toml")
     found = re.search(
         "Next: (fluxtwin apply .*) corrects the telemetry with (.*) taken out", " ".join(answer.out.split())
@@ -360,7 +361,7 @@ def test_a_trap_in_the_file_is_named_before_the_answer(late: Case, cli: Cli, tmp
     record = late.record.select(slice(0, 60))  # half an hour shows the trap; the search has less to explain
     assert record.q_NB is not None
     write_telemetry(record.replace(q_NB=record.q_NB * np.array([-1.0, -1.0, -1.0, 1.0])), tmp_path / "turned.csv")
-    result = cli("diagnose", tmp_path / "turned.csv", *FLAGS)
+    result = cli("diagnose", tmp_path / "turned.csv", *WIDE)
     said = " ".join((result.out + result.err).split())
     assert result.status == 0
     assert "conjugated" in said

@@ -116,11 +116,17 @@ def error_of_drivers(fit: Fit) -> FloatArray:
 
 
 @cache
+def fits() -> tuple[Fit, ...]:
+    """One for each seed, both ways in turn."""
+    methods = ("linear", "forward")
+    return tuple(fit_of(flown(seed), method=methods[seed % 2], driver=["array", "payload"]) for seed in range(RUNS))
+
+
+@cache
 def runs() -> tuple[tuple[FloatArray, FloatArray, FloatArray, FloatArray], ...]:
     """For each seed: errors of S and b with their covariance, and those of the drivers."""
     made = []
-    for seed in range(RUNS):
-        fit = fit_of(flown(seed), method=("linear", "forward")[seed % 2], driver=["array", "payload"])
+    for fit in fits():
         error = fit.calibration.values - np.concatenate([S.ravel(), B_NT])
         made.append((error, fit.calibration.covariance, error_of_drivers(fit), fit.driver_covariance))
     return tuple(made)
@@ -215,6 +221,7 @@ def strongly_late(seed: int, delays_s: tuple[float, ...]) -> tuple[Telemetry, Fl
     return record.replace(mag_B_nT=B + field, drivers=currents), field
 
 
+@pytest.mark.usefixtures("few_draws")
 @pytest.mark.parametrize("seed", [31, 32])
 @pytest.mark.parametrize("delays_s", [(40.0,), (40.0, 55.0, 25.0)])
 def test_a_strong_field_that_is_late_leaves_no_outliers(delays_s: tuple[float, ...], seed: int) -> None:
@@ -236,6 +243,7 @@ def test_a_strong_field_that_is_late_leaves_no_outliers(delays_s: tuple[float, .
     assert np.median(np.abs(left)) < 10.0, "less than the noise, but for rows in which it switches"
 
 
+@pytest.mark.usefixtures("few_draws")
 @pytest.mark.parametrize(
     ("lateness", "options"),
     [
@@ -277,8 +285,8 @@ def test_a_strong_field_is_found_as_late_as_it_is(lateness: list[tuple[float, fl
 
 
 def test_a_field_that_is_not_late_is_not_called_late() -> None:
-    """At most one of these 16 columns: by chance one in a hundred is."""
-    found = [fit_of(flown(seed), driver=["all"]).calibration.telemetry_bias for seed in range(8)]
+    """At most one of these 20 columns: by chance one in a hundred is."""
+    found = [fit.calibration.telemetry_bias for fit in fits()]
     assert sum(bool(one.delay_s or one.lag_s) for biases in found for one in biases.values()) <= 1
 
 
@@ -381,6 +389,7 @@ def test_a_value_that_is_missing_stays_missing_where_the_field_is_late(lateness_
     assert np.abs(there - whole)[known_rows].max() < 1.03 * most_nT
 
 
+@pytest.mark.usefixtures("few_draws")
 @pytest.mark.parametrize("method", ["linear", "forward", "scalar"])
 def test_of_all_columns_those_that_drive_are_kept_and_the_others_named(method: str) -> None:
     record, rng = flown(3), stream(3, "test.junk")
@@ -400,6 +409,7 @@ def test_of_all_columns_those_that_drive_are_kept_and_the_others_named(method: s
     assert "driver_rare was not tried: it is known in 33 % of the rows" in said
 
 
+@pytest.mark.usefixtures("few_draws")
 def test_where_none_drives_none_is_kept() -> None:
     record, rng = flown(4), stream(4, "test.junk")
     quiet = record.replace(
@@ -516,7 +526,7 @@ def test_what_can_be_distinguished_beside_the_field() -> None:
 
 def test_a_driver_that_is_not_modelled_is_said_to_be_a_slow_error_and_not_noise(close) -> None:
     """The fields are 40 nT rms, the noise of a reading 10 nT; what is expected is of the noise that the verdict states."""
-    without, with_them = (fit_of(flown(0), driver=names) for names in ((), tuple(K)))
+    without, with_them = fit_of(flown(0)), fits()[0]
     for fit, slow in ((without, True), (with_them, False)):
         (words,) = (message for message in fit.messages if message.startswith("covariance"))
         assert ("slow errors of" in words, "white noise of" in words) == (slow, False), words

@@ -9,7 +9,7 @@ from typing import Any, TypedDict, Unpack
 
 import numpy as np
 
-from fluxtwin.calib.common.apply import apply_calibration, require_applicable
+from fluxtwin.calib.common.apply import apply_calibration, corrected_effects, require_applicable
 from fluxtwin.calib.common.records import Calibration
 from fluxtwin.gap.channels.momentum_arcs import Craft
 from fluxtwin.gap.detectors.codes import with_frozen_noise
@@ -99,7 +99,8 @@ def diagnose(
     """Where the gap between a record and its simulation lies, which effect causes it, and how much of it that closes.
 
     scenario: gives field model, starting S, b, T, the noise budget and effects that are applied as they are.
-    modelled: names of the effects that are estimated anew in every test.
+    modelled: names of the effects that are estimated anew in every test; beside the default, of a corrected record, what
+    else its calibration has estimated.
 
     A number given below overrides the scenario's; what neither gives is found in the data. Raises BadInput and NoAnswer
     with one message each.
@@ -110,6 +111,8 @@ def diagnose(
     for name in modelled:
         find_effect(name, where="--modelled")
     record = as_record(telemetry, **reading)
+    if modelled == DEFAULT_MODELLED:
+        modelled += corrected_effects(record)
     config = None if scenario is None else as_scenario(scenario)
     if config is not None:
         record = _with_scenario(record, config)

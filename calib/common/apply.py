@@ -15,7 +15,9 @@ from fluxtwin.sim.telemetry.record import Telemetry, plain_text
 
 _DIGEST_SHOWN = 12  # hexadecimal digits: of a million calibrations two agree by chance with a probability of 0.2 %
 _NEAR_DEGC = 1.0  # no magnetometer that is worth calibrating changes within a degree
-_STAMP = re.compile(r"calibration ([0-9a-f]{12}(?: then [0-9a-f]{12})*) \((?:residual|noise) ([0-9.eE+-]+) nT\)")
+_STAMP = re.compile(
+    r"calibration ([0-9a-f]{12}(?: then [0-9a-f]{12})*) \((?:residual|noise) ([0-9.eE+-]+) nT(?:; with ([^)]+))?\)"
+)
 
 
 def apply_calibration(
@@ -40,7 +42,10 @@ def apply_calibration(
     own = calibration.digest[:_DIGEST_SHOWN]
     match = _STAMP.match(telemetry.corrected_by)
     chain = f"{match[1]} then {own}" if match else own
-    words = f"calibration {chain} ({sigma_is} {calibration.sigma_nT:.3g} nT)"
+    of_before = match[3].split(", ") if match and match[3] else []
+    of_this = [*(["T"] if here.T_nT_per_Am2 is not None else []), *calibration.telemetry_bias]
+    also = ", ".join(dict.fromkeys([*of_before, *of_this]))
+    words = f"calibration {chain} ({sigma_is} {calibration.sigma_nT:.3g} nT{f'; with {also}' if also else ''})"
     stamped = {"calibration": words, "calibration_note": note}
     return telemetry.replace(mag_B_nT=corrected, provenance={**telemetry.provenance, **stamped})
 
@@ -136,6 +141,18 @@ def calibration_of(telemetry: Telemetry, calibration: Calibration | None, *, for
             wanted="--calibration FILE.toml, or a record that fluxtwin apply has written",
         )
     return Calibration(np.zeros((3, 3)), np.zeros(3), sigma_nT=known_sigma_nT(telemetry) or 0.0)
+
+
+def corrected_effects(telemetry: Telemetry) -> tuple[str, ...]:
+    """Names of the effects, beside b and S, of which the calibration of corrected readings had estimates, by their mark, and
+    whose columns change in this record. What these estimates are wrong by is still in the readings."""
+    match = _STAMP.match(telemetry.corrected_by)
+    names = match[3].split(", ") if match and match[3] else []
+    columns = {f"driver_{name}": column for name, column in telemetry.drivers.items()}
+    if telemetry.dipole_B_Am2 is not None:
+        columns["T"] = telemetry.dipole_B_Am2
+    moving = [name for name in names if name in columns and np.nanmax(np.ptp(columns[name], axis=0)) > 0.0]
+    return tuple("torquer_coupling" if name == "T" else name.replace("driver_", "driver.", 1) for name in moving)
 
 
 def known_sigma_nT(telemetry: Telemetry) -> float | None:

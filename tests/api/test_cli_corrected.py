@@ -168,3 +168,18 @@ def test_corrected_rows_are_not_mixed_with_others(cli: Cli, flight: Path, tmp_pa
     refused(cli("check", tmp_path / "mixed.csv"), "mag_corrected_by", "different rows")
     refused(cli("calibrate", flight / "corrected.csv", flight / "late.csv"), "those of another are not")
     refused(cli("calibrate", flight / "raw.csv", flight / "other.csv"), "different spacecraft")
+
+
+def test_what_a_calibration_is_wrong_by_is_no_gap() -> None:
+    """Its T, and the field of a column, are known to their sigmas, and the torquers are strong: 7 nT rms of the 52 nT that
+    are left are the error of T, and were named torquer_coupling, at p < 1e-12."""
+    record, _ = fluxtwin.simulate("cubesat")
+    record = record.replace(drivers={"heater": (np.arange(len(record)) // 150 % 2).astype(float)})
+    calibration = fluxtwin.calibrate(record, parameters="b,S,T", driver=["heater"]).calibration
+    corrected = fluxtwin.apply(record, calibration)
+    assert corrected.corrected_by.endswith("nT; with T, driver_heater)")
+    diagnosis = fluxtwin.diagnose(corrected)
+    assert diagnosis.modelled[2:] == ["torquer_coupling", "driver.heater"]
+    assert diagnosis.verdict == "no_gap", diagnosis.sentence
+    still = corrected.replace(dipole_B_Am2=np.zeros((len(record), 3)), drivers={})
+    assert fluxtwin.diagnose(still.select(slice(0, 400))).modelled == ["bias", "scale_misalignment"]

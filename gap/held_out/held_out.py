@@ -176,7 +176,10 @@ def predict_blocks(problem: Problem, whitener: Whitens, kept: BoolArray, noise_n
         known[held] &= float(np.mean(variance[1, held]) / 3.0) < noise_nT**2
     about = (noise_nT, noise_nT)
     if 2 * known.sum() < kept.sum():
-        return Prediction(plain[0][0], plain[1][0], kept, *about, "fit", problem.axes)
+        # Fitted once more: a waveform with columns of its own still stands in the residual.
+        sizes = [_solve(residual[kept], columns[kept])[0] for residual, columns in white]
+        fitted = [rest_nT - columns_nT @ size for (rest_nT, columns_nT), size in zip(plain, sizes, strict=True)]
+        return Prediction(fitted[0], fitted[1], kept, *about, "fit", problem.axes)
     unsure_nT = np.sqrt(variance[:, known].sum(axis=1) / problem.measured[known].sum())
     of_both = (float(unsure_nT[0]), float(unsure_nT[1]))
     return Prediction(predicted[0], predicted[1], known, *about, axes=problem.axes, unsure_nT=of_both)

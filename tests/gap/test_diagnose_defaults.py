@@ -258,6 +258,19 @@ def test_a_block_that_the_others_do_not_determine_is_not_predicted() -> None:
     assert np.abs(predict_blocks(problem, UNIT, kept, 1.0, five, five).before_nT).max() < 1e-9
 
 
+def test_where_no_part_determines_another_the_residual_is_that_of_the_fit() -> None:
+    """A column of its own in each fifth, and one that a waveform has, whose signal of 50 still stands in the residual."""
+    rng = np.random.default_rng(3)
+    seconds, kept = np.arange(500.0), np.ones(500, dtype=bool)
+    noise, signal = rng.standard_normal((500, 3)), rng.standard_normal((500, 3, 1))
+    parts = np.eye(5)[np.arange(500) // 100][:, None, :] * rng.standard_normal((500, 3, 1))
+    before, after = (noise + 50.0 * signal[..., 0], parts), (noise + 50.0 * signal[..., 0], np.dstack([parts, signal]))
+    held = predict_blocks(rows_of(seconds), UNIT, kept, 1.0, before, after)
+    assert held.of == "fit"
+    assert np.sqrt(np.mean(held.before_nT**2)) > 45.0
+    assert np.sqrt(np.mean(held.after_nT**2)) == pytest.approx(np.sqrt(1.0 - 6.0 / 1500.0), abs=4.0 / np.sqrt(3000.0))
+
+
 def test_what_a_block_predicts_of_another_is_as_wrong_as_it_says() -> None:
     """White noise of 2 nT and twelve columns in 60 rows: held-out residuals have the noise and the error of the prediction,
     whose variance averages to that of the textbook, sigma^2 tr(X_h (X_t' X_t)^-1 X_h') over the components."""

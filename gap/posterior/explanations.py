@@ -161,8 +161,8 @@ def likeliest(explanations: Sequence[Explanation]) -> tuple[int, float, float]:
 
 
 def _added(one: Fit, more: Fit) -> int:
-    """How many effects a fit has that another has not."""
-    return len({effect for effect, _ in more.chosen} - {effect for effect, _ in one.chosen})
+    """How many effects a fit has that another has not, in whatever settings."""
+    return len({effect.name for effect, _ in more.chosen} - {effect.name for effect, _ in one.chosen})
 
 
 def weighed(

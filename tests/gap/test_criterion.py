@@ -35,6 +35,12 @@ pytestmark = pytest.mark.property
 NOTHING = Structure(worth=0.0, drop=0.0, kind="none", words="")
 
 
+@dataclasses.dataclass(frozen=True)
+class Cause:
+    name: str
+    setting: float = 0.0
+
+
 def test_noise_alone_is_seldom_worth_the_threshold() -> None:
     """The largest of 150 independent drops of chi-square with 1, 3, 9 or 18 degrees of freedom, in 20,000 records of 700
     samples: above the threshold in 0.2 % of them, as `THRESHOLD` says; without the penalty of the search in over 5 %."""
@@ -88,7 +94,7 @@ def test_what_a_second_cause_takes_away_whole_is_not_the_first_one_s_shape(
     not to the last bit."""
 
     def fit(chi2: float, chosen: int) -> Any:
-        return SimpleNamespace(chi2=chi2, rank_chosen=3 * chosen, chosen=[(str(n), None) for n in range(chosen)])
+        return SimpleNamespace(chi2=chi2, rank_chosen=3 * chosen, chosen=[(Cause(str(n)), None) for n in range(chosen)])
 
     under_way: Any = SimpleNamespace(tested=105, samples=600.0, base=fit(12_000.0, 0))
     boom = Structure(worth=90.0, drop=found, kind="block", words="", rank=3, log_tried=5.0)
@@ -104,7 +110,7 @@ def test_two_names_are_worth_the_same_by_whatever_way_the_search_came_to_them() 
     chi2 = {"": 9_000.0, "epoch": 7_000.0, "ring": 6_200.0, "cubic": 5_900.0, "epoch ring": 5_000.0}
 
     def fitted(names: str) -> Any:
-        chosen = [(name, np.zeros(1)) for name in names.split()]
+        chosen = [(Cause(name), np.zeros(1)) for name in names.split()]
         return SimpleNamespace(
             chi2=chi2[names],
             rank_chosen=30 if names == "cubic" else len(chosen),
@@ -116,7 +122,7 @@ def test_two_names_are_worth_the_same_by_whatever_way_the_search_came_to_them() 
         tested, samples, base = 105, 600.0, fitted("")
 
         def numbers(self, of: Any) -> list[int]:
-            return [["epoch", "ring"].index(name) for name, _ in of.chosen]
+            return [["epoch", "ring"].index(cause.name) for cause, _ in of.chosen]
 
         def fit(self, numbers: list[int], _start: Any) -> Any:
             return fitted(" ".join(["epoch", "ring"][number] for number in numbers))
@@ -145,7 +151,7 @@ def test_the_explanation_that_weighs_most_is_taken(
 ) -> None:
     """Odds are exp(worth / 2): twice the log of three more makes three to one."""
     explanations = [
-        SimpleNamespace(worth=w, unknown=u, fit=SimpleNamespace(chosen=[(object(), None)] * n))
+        SimpleNamespace(worth=w, unknown=u, fit=SimpleNamespace(chosen=[(Cause(str(n)), None)] * n))
         for n, (w, u) in enumerate(zip(worths, unknowns, strict=True))
     ]
     place, share, most = likeliest(explanations)
@@ -153,12 +159,27 @@ def test_the_explanation_that_weighs_most_is_taken(
     assert most == max(*worths, *unknowns)
 
 
+@pytest.mark.parametrize("refined", [0.0, 1.0])
+def test_what_the_catalogue_explains_is_nothing_unknown_though_a_setting_was_refined(refined: float) -> None:
+    """What a clock leaves is as good as something unknown, but the next name explains it, and nothing is left then. Beside
+    that name the clock may have another course."""
+    clock = [(Cause("clock", 0.0), None)]
+    both = [(Cause("clock", refined), None), (Cause("quadratic"), None)]
+    explanations: Any = [
+        SimpleNamespace(worth=0.0, unknown=9_000.0, fit=SimpleNamespace(chosen=[])),
+        SimpleNamespace(worth=9_550.0, unknown=9_570.0, fit=SimpleNamespace(chosen=clock)),
+        SimpleNamespace(worth=9_560.0, unknown=-np.inf, fit=SimpleNamespace(chosen=both)),
+    ]
+    place, known, _ = likeliest(explanations)
+    assert place == 2 and known > 0.99
+
+
 def test_a_probability_is_never_above_one() -> None:
     """Nor, by rounding, what is made of it after held-out samples."""
     rng = np.random.default_rng(6)
     for _ in range(300):
         explanations = [
-            SimpleNamespace(worth=w, unknown=-np.inf, fit=SimpleNamespace(chosen=[(object(), None)] * n))
+            SimpleNamespace(worth=w, unknown=-np.inf, fit=SimpleNamespace(chosen=[(Cause(str(n)), None)] * n))
             for n, w in enumerate([0.0, *rng.uniform(50.0, 60.0, 5)])
         ]
         _, known, _ = likeliest(explanations)

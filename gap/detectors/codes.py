@@ -143,9 +143,30 @@ def flipped_bits(reading_nT: FloatArray, residual_nT: FloatArray, cut: BoolArray
     large = lsb_nT * powers[: top + 2] > CUT_SIGMA * float(np.median(spread))
     visible = 1.0 if single else max(int(large.sum()), 1) / (top + 2)
     rate, error = (np.array([size / total / visible]) for size in (count, np.sqrt(count)))
+    if single:  # of which those that did not stand out are known too
+        rate, error = _rate_of(dominant, reading_nT, residual_nT, np.maximum(sigma, rounding_nT), lsb_nT)
     what = f"{count} spikes, {100 * fitting:.0f} % of them a single flipped bit"
     faults = () if fitting >= _MOST_SPIKES else ("the others are not",)
     return Finding(BitErrors(dominant if single else None, "flip", lsb_nT), rate, error, 2.0 * log_bayes, what, faults)
+
+
+def _rate_of(
+    bit: int, reading_nT: FloatArray, residual_nT: FloatArray, sigma_nT: FloatArray, lsb_nT: float
+) -> tuple[FloatArray, FloatArray]:
+    """Share (1,) of the readings (N, 3) that have one bit of their code turned round, and its sigma: by the likeliest
+    mixture of noise (3,), and noise about what the flip puts there."""
+    known = np.isfinite(residual_nT)
+    set_now = np.rint(np.where(known, reading_nT, 0.0) / lsb_nT).astype(np.int64) & (1 << bit) != 0
+    moved = np.where(set_now, 1.0, -1.0) * 2.0**bit * lsb_nT
+    log_ratio = ((residual_nT**2 - (residual_nT - moved) ** 2) / (2.0 * sigma_nT**2))[known]
+    times = np.exp(np.clip(log_ratio, -500.0, 500.0))
+    rate = 0.01
+    for _ in range(200):
+        rate, before = float(np.mean(rate * times / (1.0 - rate + rate * times))), rate
+        if abs(rate - before) < 1e-4 * before:
+            break
+    information = np.sum(((times - 1.0) / (1.0 - rate + rate * times)) ** 2)
+    return np.array([rate]), np.array([1.0 / np.sqrt(information)])
 
 
 def noise_level(

@@ -88,7 +88,9 @@ def spike_weights(left_nT: FloatArray, whitener: Whitener, there: BoolArray) -> 
     standard, plain = np.empty_like(scaled), np.empty_like(scaled)
     filtered = (whitener.load, whitener.decay, whitener.gains, whitener.covariance, whitener.weights)
     kernels().predict_each(*filtered, own, scaled, standard, plain)
-    return weights_of(standing_out(standard, 1.0, there), there), plain * noise.sigma_nT
+    # Many spikes make the noise look large: then its budget says what they stand out of, and the differences around them.
+    least = min(1.0, noise.sigma_prior_nT / noise.sigma_nT)
+    return weights_of(standing_out(standard, least, there), there), plain * noise.sigma_nT
 
 
 def first_weights(residual_nT: FloatArray, design: FloatArray, there: BoolArray) -> FloatArray:

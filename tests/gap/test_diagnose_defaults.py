@@ -346,6 +346,20 @@ def test_wrong_readings_close_no_share_of_a_gap(record: Telemetry) -> None:
     assert "the wrong readings are excluded from the figures" in found.sentence and "closes" not in found.sentence
 
 
+def test_many_bits_that_flip_are_no_noise_though_few_of_them_stand_out(record: Telemetry) -> None:
+    """One reading in thirty has a bit of 160 nT turned round: eight times its noise, but four and a half times the noise
+    that there seems to be."""
+    lsb_nT, bit, rng = 10.0, 4, np.random.default_rng(8)
+    code = np.rint(record.mag_B_nT / lsb_nT).astype(np.int64)
+    hit = rng.random(code.shape) < 1.0 / 30.0
+    turned = record.replace(mag_B_nT=lsb_nT * np.where(hit, code ^ (1 << bit), code))
+    found = asked(turned, DECLARED)
+    (bits,) = found.effects
+    assert (bits.name, bits.settings["bit"]) == ("bit_errors", bit), found.sentence
+    rate = bits.parameters["rate"]
+    assert rate.value == pytest.approx(hit.mean(), abs=4.0 * rate.sigma) and rate.sigma < 0.1 * rate.value
+
+
 @pytest.mark.parametrize("with_scenario", [False, True])
 def test_the_roll_of_a_star_tracker_is_no_noise_of_the_magnetometer(with_scenario: bool) -> None:
     text = scenario_text(

@@ -163,8 +163,10 @@ class Structured:
         left: Structure,
         chosen: Sequence[Active],
     ) -> Iterator[Finding | None]:
-        """A line, a region in the dark and a thermostat whose waveform a residual (N, 3) has, in the order in which they
-        explain each other away. chosen: named effects; a companion of a named wheel's line is that wheel once more."""
+        """A line whose waveform a residual (N, 3) has, then a region in the dark and a thermostat, that of more worth first.
+
+        chosen: named effects; a companion of a named wheel's line is that wheel once more.
+        """
         setting, rest = self.problem.setting, projected(whitener, residual_nT, fitted_nT)
         line, fits = strongest_line(setting.seconds, rest), self.dictionary.fits(rest)
         if left.kind == "tone" and not any(companion(setting, rest, line, one) for one, _ in chosen):
@@ -172,7 +174,7 @@ class Structured:
         switched = [switched_region(self.problem, rest, fits)]
         if setting.column("heater_on") is None:
             switched.append(heater_sequence(setting, rest, residual_nT, fitted_nT, fits, line))
-        # Where a thermostat cycles, a region is found too, and takes some of its cycles.
+        # Where a thermostat cycles, a region is found too: some of its cycles.
         yield from sorted(switched, key=lambda one: 0.0 if one is None else -one.worth)
 
     def given(self, shapes: Sequence[Finding]) -> Answer:

@@ -111,7 +111,7 @@ def diagnose(
     for name in modelled:
         find_effect(name, where="--modelled")
     record = as_record(telemetry, **reading)
-    if modelled == DEFAULT_MODELLED:
+    if set(modelled) == set(DEFAULT_MODELLED):
         modelled += corrected_effects(record)
     config = None if scenario is None else as_scenario(scenario)
     if config is not None:

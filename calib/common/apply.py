@@ -10,13 +10,14 @@ import numpy as np
 from fluxtwin.calib.common.onboard import for_record
 from fluxtwin.calib.common.records import CONVENTION, Calibration
 from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.telemetry.record import Telemetry, plain_text
 
 _DIGEST_SHOWN = 12  # hexadecimal digits: of a million calibrations two agree by chance with a probability of 0.2 %
 _NEAR_DEGC = 1.0  # no magnetometer that is worth calibrating changes within a degree
 _STAMP = re.compile(
-    r"calibration ([0-9a-f]{12}(?: then [0-9a-f]{12})*) \((?:residual|noise) ([0-9.eE+-]+) nT(?:; with ([^)]+))?\)"
+    r"calibration ([0-9a-f]{12}(?: then [0-9a-f]{12})*) \((?:residual|noise) ([0-9.eE+-]+) nT\)(?: with (.+))?"
 )
 
 
@@ -42,11 +43,14 @@ def apply_calibration(
     own = calibration.digest[:_DIGEST_SHOWN]
     match = _STAMP.match(telemetry.corrected_by)
     chain = f"{match[1]} then {own}" if match else own
-    of_before = match[3].split(", ") if match and match[3] else []
-    of_this = [*(["T"] if here.T_nT_per_Am2 is not None else []), *calibration.telemetry_bias]
-    also = ", ".join(dict.fromkeys([*of_before, *of_this]))
-    words = f"calibration {chain} ({sigma_is} {calibration.sigma_nT:.3g} nT{f'; with {also}' if also else ''})"
-    stamped = {"calibration": words, "calibration_note": note}
+    of_before = match[3].split("; ") if match and match[3] else []
+    of_this = [
+        *(["T"] if here.T_nT_per_Am2 is not None and here.T_nT_per_Am2.any() else []),
+        *calibration.telemetry_bias,
+    ]
+    also = "; ".join(dict.fromkeys([*of_before, *of_this]))
+    words = f"calibration {chain} ({sigma_is} {calibration.sigma_nT:.3g} nT){f' with {also}' if also else ''}"
+    stamped = {"calibration": plain_text(words), "calibration_note": note}  # the same in every kind of file
     return telemetry.replace(mag_B_nT=corrected, provenance={**telemetry.provenance, **stamped})
 
 
@@ -144,14 +148,26 @@ def calibration_of(telemetry: Telemetry, calibration: Calibration | None, *, for
 
 
 def corrected_effects(telemetry: Telemetry) -> tuple[str, ...]:
-    """Names of the effects, beside b and S, of which the calibration of corrected readings had estimates, by their mark, and
-    whose columns change in this record. What these estimates are wrong by is still in the readings."""
+    """Names of the effects, beside b and S, of which the calibration of corrected readings had estimates, by their mark.
+
+    Of those whose columns are known and change where there are readings: what the estimates are wrong by is still in these.
+    """
     match = _STAMP.match(telemetry.corrected_by)
-    names = match[3].split(", ") if match and match[3] else []
+    names = match[3].split("; ") if match and match[3] else []
     columns = {f"driver_{name}": column for name, column in telemetry.drivers.items()}
     if telemetry.dipole_B_Am2 is not None:
         columns["T"] = telemetry.dipole_B_Am2
-    moving = [name for name in names if name in columns and np.nanmax(np.ptp(columns[name], axis=0)) > 0.0]
+    read = np.isfinite(telemetry.mag_B_nT).all(axis=1)
+    if telemetry.r_N_km is not None:
+        read &= np.isfinite(telemetry.r_N_km).all(axis=1)
+
+    def changes(column: FloatArray) -> bool:
+        known = (column if column.ndim == 2 else column[:, None])[read]
+        return len(known) > 0 and bool(
+            (np.ptp(known, axis=0) > 1e-6 * np.maximum(1.0, np.abs(known).max(axis=0))).any()
+        )
+
+    moving = [name for name in names if name in columns and changes(columns[name])]
     return tuple("torquer_coupling" if name == "T" else name.replace("driver_", "driver.", 1) for name in moving)
 
 

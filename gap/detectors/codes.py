@@ -143,7 +143,7 @@ def flipped_bits(reading_nT: FloatArray, residual_nT: FloatArray, cut: BoolArray
     large = lsb_nT * powers[: top + 2] > CUT_SIGMA * float(np.median(spread))
     visible = 1.0 if single else max(int(large.sum()), 1) / (top + 2)
     rate, error = (np.array([size / total / visible]) for size in (count, np.sqrt(count)))
-    if single:  # of which those that did not stand out are known too
+    if single and dominant < top:  # those that did not stand out are known too
         rate, error = _rate_of(dominant, reading_nT, residual_nT, np.maximum(sigma, rounding_nT), lsb_nT)
     what = f"{count} spikes, {100 * fitting:.0f} % of them a single flipped bit"
     faults = () if fitting >= _MOST_SPIKES else ("the others are not",)

@@ -27,7 +27,7 @@ from fluxtwin.gap.detectors.lines import Line, line_columns
 from fluxtwin.gap.hypotheses.blocks import BlockFit, in_body
 from fluxtwin.gap.linear.projection import ProjectedResidual
 from fluxtwin.gap.problem.problem import Problem
-from fluxtwin.gap.selection.criterion import THRESHOLD
+from fluxtwin.gap.selection.criterion import THRESHOLD, worth
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.earth import frames
 from fluxtwin.sim.effects.drivers import lit
@@ -195,9 +195,31 @@ def heater_sequence(
         faults.append("it switches as irregularly as a random telegraph")
     if stands_out(left, in_body(on.astype(float)), line_columns(setting.seconds, line.frequency_Hz)):
         faults.append("it is a line that was cut")
+    faults += [] if faults else _as_recorded(setting, left, on, value, found)
     what = f"a field that switches on and off, {_switches(on).size} switches"
     effect = HeaterSwitching(tuple(int(state) for state in on))
     return Finding(effect, found.size, found.sigma, value, what, tuple(faults))
+
+
+def _as_recorded(setting: Setting, left: ProjectedResidual, on: BoolArray, own: float, given: Fitted) -> list[str]:
+    """Whether a recorded switch, by day, by night or at any time, and up to a dozen rows late, does as well."""
+    dark = lit(setting) < 0.5
+    switches: dict[str, BoolArray] = {}
+    for name, column in setting.columns.items():
+        if column is not None and column.ndim == 1 and np.unique(column[np.isfinite(column)]).size == 2:
+            high = column > np.nanmean(column)
+            switches |= {name: high, f"{name} in sunlight": high & ~dark, f"{name} in shadow": high & dark}
+    trials = []
+    for name, switch in switches.items():
+        for rows in range(min(13, on.size)):
+            moved = np.concatenate([np.repeat(switch[:1], rows), switch[: on.size - rows]])
+            trials.append((max(np.mean(moved == on), np.mean(moved != on)), name, moved))
+    if not trials:
+        return []
+    _, name, moved = max(trials, key=lambda trial: trial[0])
+    one = fitted(left, in_body(moved.astype(float)))
+    value = worth(one.energy / given.variance, one.rank, given.samples, float(np.log(len(trials))))
+    return [f"{name} does as well"] if value >= own else []
 
 
 def _switches(on: BoolArray) -> NDArray[np.intp]:
@@ -309,7 +331,8 @@ def _viterbi(z: FloatArray, start: BoolArray | None, share: float = 0.5) -> Bool
     """Best cut of a series into two levels with a penalty for each switch; levels and noise re-estimated in turn.
 
     start: where to begin; None: with this share of the rows in the lower level. The penalty is what one switch more costs
-    of all sequences with so many.
+    of all sequences with so many, so this is a local optimum: from noise it may run to a switch in every other row, which
+    is worth nothing.
     """
     on = z > np.quantile(z, share) if start is None else start
     count = 1 if start is None else max(_switches(start).size, 1)

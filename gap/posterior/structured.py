@@ -95,7 +95,8 @@ class Structured:
             for bare in (True, False) if named and answer.known < 0.5 else (False,):
                 finding = self._signal(answer, bare=bare)
                 if finding is not None:
-                    return self._merged(self.given([*answer.shapes, finding]))
+                    more = self.given([*answer.shapes, finding])
+                    return self._merged(more) if isinstance(finding.effect, HeaterSwitching) else more
         stepped = any(one.name in _LIKE_A_WALK for one in named)
         if not walks and (answer.left.structured or len(named) > 1 or stepped):
             return self._walking(answer)

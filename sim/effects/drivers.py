@@ -16,9 +16,11 @@ from fluxtwin.sim.effects.history import relax
 from fluxtwin.sim.effects.signal import Setting
 from fluxtwin.sim.spacecraft.power import Panel, incidence_cosine
 
-PanelKind = Literal["-z", "+z", "+x", "-x", "+y", "-y", "tracking", "constant", "balance"]
-"""A panel on a face, an array that turns about y, a current that only shadow cuts, or what the battery says."""
-_FACES: Mapping[PanelKind, tuple[float, float, float]] = {
+ArrayKind = Literal["-z", "+z", "+x", "-x", "+y", "-y", "tracking", "constant"]
+"""A panel on a face, an array that turns about y, or a current that only shadow cuts."""
+PanelKind = Literal[ArrayKind, "balance"]
+"""These, or what the battery says."""
+_FACES: Mapping[ArrayKind, tuple[float, float, float]] = {
     "-z": (0.0, 0.0, -1.0),
     "+z": (0.0, 0.0, 1.0),
     "+x": (1.0, 0.0, 0.0),
@@ -60,10 +62,10 @@ def array_current_A(setting: Setting, panel: PanelKind) -> FloatArray:
     return np.asarray(lit(setting) * cosine)
 
 
-def panels_that_show(setting: Setting) -> tuple[PanelKind, ...]:
+def panels_that_show(setting: Setting) -> tuple[ArrayKind, ...]:
     """The panels worth trying where no current of the array was recorded: those whose current changes."""
-    # Where no incidence is known all are alike.
-    kinds: tuple[PanelKind, ...] = (*_FACES, "tracking", "constant") if sun_in_body(setting)[1].any() else ("constant",)
+    # Where no incidence is known all are alike. Panels on each of the other faces would be given causes of all kinds.
+    kinds: tuple[ArrayKind, ...] = ("-z", "tracking", "constant") if sun_in_body(setting)[1].any() else ("constant",)
     return tuple(kind for kind in kinds if varies(array_current_A(setting, kind)))
 
 
@@ -79,7 +81,7 @@ def sun_in_body(setting: Setting) -> tuple[FloatArray, BoolArray]:
     return sun_B, known
 
 
-def battery_current_A(setting: Setting, panel: PanelKind = "constant") -> FloatArray:
+def battery_current_A(setting: Setting, panel: ArrayKind = "constant") -> FloatArray:
     """(N,) recorded current of the battery, positive when charging; else that of the array, but for a constant load; else
     that of an array of 2 A in full sun less a load of 1 A."""
     for name in ("battery_current_A", "array_current_A"):
@@ -131,7 +133,7 @@ def varies(column: FloatArray, least: float = 1e-6) -> bool:
 
 STAND_INS: Mapping[str, tuple[Callable[[Setting], FloatArray], ...]] = {
     "array_current_A": tuple(partial(array_current_A, panel=panel) for panel in get_args(PanelKind)),
-    "battery_current_A": tuple(partial(battery_current_A, panel=panel) for panel in get_args(PanelKind)[:-1]),
+    "battery_current_A": tuple(partial(battery_current_A, panel=panel) for panel in get_args(ArrayKind)),
     "temperature_degC": tuple(partial(temperature_K, time_constant_s=tau_s) for tau_s in TIME_CONSTANTS_S),
 }
 """What may stand in for a column where it was not recorded, by its name."""

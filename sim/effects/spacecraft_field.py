@@ -10,6 +10,7 @@ from fluxtwin.sim.base.late import bridged, lateness_near, lateness_tried
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.effects.base import MATRIX, Parameter, SpacecraftField, held, known_column, mapped, vector_parameters
 from fluxtwin.sim.effects.drivers import (
+    ArrayKind,
     PanelKind,
     array_current_A,
     battery_current_A,
@@ -149,7 +150,7 @@ class BatteryCurrent(SpacecraftField):
         "field in full sun [nT], on the panel that is assumed, and -s that in shadow (CryoSat-2: Olsen et al. 2020, doi "
         "10.1186/s40623-020-01171-9)"
     )
-    panel: PanelKind = "constant"
+    panel: ArrayKind = "constant"
 
     parameters = vector_parameters("s", "nT/A", 20.0)
 

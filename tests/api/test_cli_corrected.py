@@ -170,14 +170,20 @@ def test_corrected_rows_are_not_mixed_with_others(cli: Cli, flight: Path, tmp_pa
     refused(cli("calibrate", flight / "raw.csv", flight / "other.csv"), "different spacecraft")
 
 
-def test_what_a_calibration_is_wrong_by_is_no_gap() -> None:
+def test_what_a_calibration_is_wrong_by_is_no_gap(tmp_path: Path) -> None:
     """Its T, and the field of a column, are known to their sigmas, and the torquers are strong: 7 nT rms of the 52 nT that
     are left are the error of T, and were named torquer_coupling, at p < 1e-12."""
     record, _ = fluxtwin.simulate("cubesat")
-    record = record.replace(drivers={"heater": (np.arange(len(record)) // 150 % 2).astype(float)})
+    dipole, heater = np.array(record.dipole_B_Am2), (np.arange(len(record)) // 150 % 2).astype(float)
+    dipole[700], heater[900] = np.nan, np.nan  # their rows have no corrected reading
+    record = record.replace(dipole_B_Am2=dipole, drivers={"heater": heater})
     calibration = fluxtwin.calibrate(record, parameters="b,S,T", driver=["heater"]).calibration
     corrected = fluxtwin.apply(record, calibration)
-    assert corrected.corrected_by.endswith("nT; with T, driver_heater)")
+    assert corrected.corrected_by.endswith("nT) with T; driver_heater")
+    for kind in ("csv", "nc"):
+        fluxtwin.write(corrected, tmp_path / f"corrected.{kind}")
+        again = fluxtwin.read(tmp_path / f"corrected.{kind}")
+        assert again.corrected_by == corrected.corrected_by
     diagnosis = fluxtwin.diagnose(corrected)
     assert diagnosis.modelled[2:] == ["torquer_coupling", "driver.heater"]
     assert diagnosis.verdict == "no_gap", diagnosis.sentence

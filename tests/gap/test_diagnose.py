@@ -101,16 +101,16 @@ def test_one_effect_is_named_placed_measured_and_closes_the_gap(name):
 
 
 @pytest.mark.parametrize("name", ["solar_array_current", "battery_current"])
-def test_a_panel_on_whatever_face_is_one_cause_where_its_current_was_not_recorded(name):
+def test_a_panel_whose_current_was_not_recorded_is_array_or_battery(name):
     """The currents are those of the simulated power system; they are in the field and not in the record. Which of the two
     makes it is not said by any record without them."""
-    power = "[power]\nfull_sun_current_A = 2.0\nload_A = 0.7\nnormal_B = [1.0, 0.0, 0.0]\n"
+    power = "[power]\nfull_sun_current_A = 2.0\nload_A = 0.7\nnormal_B = [0.0, 0.0, -1.0]\n"
     record = telemetry("nadir", f"{power}[effects.{name}]\ns_nT_per_A = [250.0, -170.0, 120.0]")
     unrecorded = record.replace(array_current_A=None, battery_current_A=None)
     result = diagnosed(unrecorded)
     (effect,) = result.effects
     assert {*effect.group} == {"solar_array_current", "battery_current"}, result.sentence
-    assert effect.settings["panel"] == "+x", "the face of the simulated panel"
+    assert effect.settings["panel"] == "-z", "the face of the simulated panel"
     in_full_sun, sigma = effect.parameters["s_x"].value, effect.parameters["s_x"].sigma
     assert abs(in_full_sun - 2.0 * 250.0) < 4.0 * sigma < 0.5 * in_full_sun, "2 A in full sun"
 

@@ -285,9 +285,9 @@ def test_what_cannot_be_started_or_is_no_size_is_refused(flown: tuple[Any, Any])
     bare = telemetry.replace(q_NB=None, nadir_B=None, sun_B=None)
     with pytest.raises(NoAnswer, match="the filter cannot start"):
         fluxtwin.attitude(bare, known)
-    with pytest.raises(BadInput, match="noise-nT"):
+    with pytest.raises(BadInput, match="noise_nT"):
         fluxtwin.attitude(telemetry, known, noise_nT=-1.0)
-    with pytest.raises(BadInput, match="attitude-tau-s"):
+    with pytest.raises(BadInput, match="attitude_tau_s"):
         fluxtwin.attitude(telemetry, known, attitude_tau_s=10.0)
     with pytest.raises(BadInput, match="finite"):
         fluxtwin.attitude(telemetry, known, attitude_sigma_deg=0.1, attitude_tau_s=float("inf"))

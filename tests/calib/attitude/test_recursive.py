@@ -118,7 +118,7 @@ def test_b_alone_leaves_S_at_zero() -> None:
         ({"covariance": "white"}, "blocks"),
         ({"block_s": 100.0}, "method linear"),
         ({"inertia_ratio": 1.2}, "method batch or iterative"),
-        ({"attitude_tau_s": 100.0}, "attitude-sigma-deg"),
+        ({"attitude_tau_s": 100.0}, "attitude_sigma_deg"),
     ],
 )
 def test_options_of_other_methods_are_refused(flown: tuple[Any, Any], options: dict[str, Any], words: str) -> None:
@@ -176,7 +176,7 @@ def test_a_tumbling_body_is_followed() -> None:
 
 
 def test_a_step_without_a_noise_is_refused(flown: tuple[Any, Any]) -> None:
-    with pytest.raises(BadInput, match="noise-nT"):
+    with pytest.raises(BadInput, match="noise_nT"):
         fluxtwin.calibrate(flown[0], method="recursive", lsb_nT=10.0)
 
 

@@ -182,7 +182,7 @@ def _temporary(folder: Path, path: Path) -> Iterator[tuple[Path, int]]:
         what = "is a file" if folder.exists() else "does not exist"
         raise BadInput(f"the folder {folder} {what}", where=str(path), wanted="a file in a folder that exists")
     try:
-        _sweep(folder)
+        sweep(folder)
         handle, name = _locked(folder, path.suffix)
     except OSError as error:
         raise BadInput(
@@ -217,7 +217,7 @@ def _locked(folder: Path, suffix: str) -> tuple[int, str]:
         os.close(handle)
 
 
-def _sweep(folder: Path) -> None:
+def sweep(folder: Path) -> None:
     """Remove what a killed process left here: temporaries that nobody holds a lock on, wherever that process ran."""
     if not _HAS_LOCKS:
         return

@@ -75,11 +75,15 @@ def fly_ensemble(
     todo = [number for number in range(plan.chunks) if not (resume and chunk.is_whole(plan, folder, number))]
     place = None if executor or scheduler else str(folder.resolve())
     record = plan.record()
-    with team(len(todo), jobs=jobs, scheduler=scheduler, executor=executor) as ask:
-        progress(f"checking {plan.vehicles} vehicles", 0.0)
-        list(ask(chunk.check_chunk, [(record, number) for number in todo]))
-        _begin(plan, folder)
-        _keep(plan, folder, todo, ask(chunk.fly_chunk, [(record, place, number) for number in todo]), progress)
+    try:
+        with team(len(todo), jobs=jobs, scheduler=scheduler, executor=executor) as ask:
+            progress(f"checking {plan.vehicles} vehicles", 0.0)
+            list(ask(chunk.check_chunk, [(record, number) for number in todo]))
+            _begin(plan, folder)
+            _keep(plan, folder, todo, ask(chunk.fly_chunk, [(record, place, number) for number in todo]), progress)
+    except BaseException:
+        files.sweep(folder)  # a process may have been ended while it wrote
+        raise
     progress("tables", 0.98)
     found = summary.summarise(plan, folder)
     around = summary.envelope(plan, folder)

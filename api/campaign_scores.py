@@ -65,15 +65,15 @@ def _sigmas(runs: Sequence[dict[str, Any]]) -> dict[str, Any]:
             "inside": inside,
             "interval": wilson(inside, pulls.size),
         }
-    judged = [fit for fit in fits if fit["nees"] is not None]
-    if not judged:
+    weighted = [fit for fit in fits if fit["nees"] is not None]
+    if not weighted:
         return {"parameters": out, "nees": None, "nees_by_chance": None, "fits": len(fits)}
     from scipy.stats import chi2
 
-    errors = sum(len(fit["parameters"]) for fit in judged)
+    errors = sum(len(fit["parameters"]) for fit in weighted)
     return {
         "parameters": out,
-        "nees": float(np.mean([fit["nees"] for fit in judged])),
+        "nees": float(np.mean([fit["nees"] for fit in weighted])),
         "nees_by_chance": [float(chi2.ppf(share, errors)) / errors for share in (0.025, 0.975)],
         "fits": len(fits),
     }

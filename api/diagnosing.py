@@ -176,7 +176,7 @@ def close(
     scenario: the one that the effects are put into; None makes one that replays the telemetry.
     telemetry: the path of the file that was diagnosed.
     column_map: the path of its map.
-    declared: the noise and field that the diagnosis was told, as a `fluxtwin.diagnosing.Declared`; None where it found them.
+    declared: the noise and field of that diagnosis, as a `fluxtwin.diagnosing.Declared`; None where it found them.
     """
     closure = diagnosis.closure
     if closure is None or closure.empty:

@@ -60,12 +60,12 @@ SETTINGS = {
     "attitude_step": "`at` (the middle row)",
     "torquer_coupling": "in addition to T of eq. 1",
     "solar_array_current": (
-        'if no current is recorded, `panel` ("-z", another face, "tracking", "constant") is taken to give 1 A in full sun, '
+        'if no current is recorded, `panel` ("zenith", on -z; or "tracking", "constant") is taken to give 1 A in full sun, '
         'or ("balance") what the battery takes'
     ),
     "battery_current": (
-        'if no current is recorded, `panel` (as that of solar_array_current; "constant") is taken to give 2 A in full sun, '
-        "of which the load takes 1 A"
+        'if no current is recorded, `panel` ("constant", or as for the array "zenith", "tracking") is taken to give '
+        "2 A in full sun, of which the load takes 1 A"
     ),
     "driver": (
         "`[effects.driver.NAME]`: NAME is its setting `column`, so there may be several; `delay_s` and "

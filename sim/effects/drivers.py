@@ -16,19 +16,10 @@ from fluxtwin.sim.effects.history import relax
 from fluxtwin.sim.effects.signal import Setting
 from fluxtwin.sim.spacecraft.power import Panel, incidence_cosine
 
-ArrayKind = Literal["-z", "+z", "+x", "-x", "+y", "-y", "tracking", "constant"]
-"""A panel on a face, an array that turns about y, or a current that only shadow cuts."""
+ArrayKind = Literal["zenith", "tracking", "constant"]
+"""A panel on the -z face, an array that turns about y, or a current that only shadow cuts."""
 PanelKind = Literal[ArrayKind, "balance"]
 """These, or what the battery says."""
-_FACES: Mapping[ArrayKind, tuple[float, float, float]] = {
-    "-z": (0.0, 0.0, -1.0),
-    "+z": (0.0, 0.0, 1.0),
-    "+x": (1.0, 0.0, 0.0),
-    "-x": (-1.0, 0.0, 0.0),
-    "+y": (0.0, 1.0, 0.0),
-    "-y": (0.0, -1.0, 0.0),
-}
-"""Outward normals, in body axes."""
 
 TIME_CONSTANTS_S = (300.0, 900.0, 2700.0)
 """Thermal time constants tried where no temperature was recorded: a boom's sensor to one inside the body."""
@@ -54,7 +45,7 @@ def array_current_A(setting: Setting, panel: PanelKind) -> FloatArray:
         battery = known_column(setting, "battery_current_A")
         return lit(setting) if battery is None else battery
     sun_B, known = sun_in_body(setting)
-    shape = Panel(_FACES[panel], 1.0) if panel in _FACES else Panel((0.0, 1.0, 0.0), 1.0, tracks=True)
+    shape = Panel((0.0, 0.0, -1.0), 1.0) if panel == "zenith" else Panel((0.0, 1.0, 0.0), 1.0, tracks=True)
     cosine = incidence_cosine(sun_B, shape)
     if not known.all():
         seen = known & (lit(setting) > 0.5)
@@ -64,8 +55,8 @@ def array_current_A(setting: Setting, panel: PanelKind) -> FloatArray:
 
 def panels_that_show(setting: Setting) -> tuple[ArrayKind, ...]:
     """The panels worth trying where no current of the array was recorded: those whose current changes."""
-    # Where no incidence is known all are alike. Panels on each of the other faces would be given causes of all kinds.
-    kinds: tuple[ArrayKind, ...] = ("-z", "tracking", "constant") if sun_in_body(setting)[1].any() else ("constant",)
+    # Where no incidence is known all are alike. Panels on every face would be named for causes of other kinds.
+    kinds: tuple[ArrayKind, ...] = get_args(ArrayKind) if sun_in_body(setting)[1].any() else ("constant",)
     return tuple(kind for kind in kinds if varies(array_current_A(setting, kind)))
 
 

@@ -23,14 +23,13 @@ from fluxtwin.sim.effects.drivers import (
 from fluxtwin.sim.effects.signal import Setting, Signal
 
 _PREFIX = "driver_"
+_PANELS = {
+    "zenith": "panel on -z",
+    "tracking": "array that turns about y",
+    "constant": "array that always faces the sun",
+}
 TYPICAL_NT = 100.0
 """A usual field of whatever a column records."""
-
-
-def _assumed(panel: PanelKind) -> str:
-    """Which panel was assumed."""
-    arrays = {"tracking": "array that turns about y", "constant": "array that always faces the sun"}
-    return arrays.get(panel, f"panel on {panel}")
 
 
 @dataclass(frozen=True)
@@ -58,8 +57,8 @@ class SolarArrayCurrent(SpacecraftField):
     """Field in proportion to the array's current.
 
     Without the column `array_current_A` the current is that of an array of 1 A in full sun, so the parameter
-    is the field in full sun: `panel` says on which face it sits (-z, +x, ...), or that it tracks about the y axis, or gives
-    a constant current in sunlight. Where the battery's current was recorded, the array's may be that and a
+    is the field in full sun: `panel` says whether it sits on the -z face (zenith), tracks about the y axis, or
+    gives a constant current in sunlight. Where the battery's current was recorded, the array's may be that and a
     constant load (balance).
     """
 
@@ -71,7 +70,7 @@ class SolarArrayCurrent(SpacecraftField):
         "full sun [nT], on the panel that is assumed (RAX: Springmann & Cutler 2012, doi 10.2514/1.56726; CryoSat-2: Olsen "
         "et al. 2020)"
     )
-    panel: PanelKind = "-z"
+    panel: PanelKind = "zenith"
 
     parameters = vector_parameters("s", "nT/A", 20.0)
 
@@ -94,7 +93,7 @@ class SolarArrayCurrent(SpacecraftField):
     def stands_in(self, setting: Setting) -> str:
         if self.panel == "balance" or known_column(setting, "array_current_A") is not None:
             return ""
-        return f"in full sun on an assumed {_assumed(self.panel)}, as no current was recorded"
+        return f"in full sun on an assumed {_PANELS[self.panel]}, as no current was recorded"
 
     def untestable(self, setting: Setting) -> str | None:
         values = self.values(setting)
@@ -169,7 +168,7 @@ class BatteryCurrent(SpacecraftField):
     def stands_in(self, setting: Setting) -> str:
         known = any(known_column(setting, name) is not None for name in ("battery_current_A", "array_current_A"))
         words = (
-            f"in full sun on an assumed {_assumed(self.panel)}, and the opposite in shadow, as no current was recorded"
+            f"in full sun on an assumed {_PANELS[self.panel]}, and the opposite in shadow, as no current was recorded"
         )
         return "" if known else words
 

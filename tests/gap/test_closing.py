@@ -163,7 +163,7 @@ def test_of_a_current_that_nobody_recorded_nothing_is_per_ampere(problem: Proble
         (SolarArrayCurrent("tracking"), problem.setting, "nT", f"{sun} array that turns about y, {known}"),
         (SolarArrayCurrent("constant"), charged, "nT", f"{sun} array that always faces the sun, {known}"),
         (BatteryCurrent(), problem.setting, "nT", f"{sun} array that always faces the sun, {opposite}, {known}"),
-        (BatteryCurrent("-z"), problem.setting, "nT", f"{sun} panel on -z, {opposite}, {known}"),
+        (BatteryCurrent("zenith"), problem.setting, "nT", f"{sun} panel on -z, {opposite}, {known}"),
         (SolarArrayCurrent(), recorded, "nT/A", ""),
         (SolarArrayCurrent("balance"), charged, "nT/A", ""),
         (BatteryCurrent(), recorded, "nT/A", ""),
@@ -298,7 +298,7 @@ def test_targets_keep_the_motion_and_follow_the_sun(problem: Problem) -> None:
 def test_a_tumble_that_hides_a_panel_from_the_sun_is_flown_the_other_way_up(problem: Problem) -> None:
     """At the end of May the sun is on the side of +z of both: a panel on -z is in the shade of the body. What no start can
     show is said of the one flight that was tried, and of no other."""
-    panel, absent = SolarArrayCurrent("-z"), Driver(column="pump")
+    panel, absent = SolarArrayCurrent("zenith"), Driver(column="pump")
     hidden = targets(problem)[-2:]
     assert all(panel.untestable(one.setting) for one in hidden)
     assert "never sees the sun" in str(panel.untestable(hidden[0].setting))

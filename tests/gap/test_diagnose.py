@@ -110,7 +110,7 @@ def test_a_panel_whose_current_was_not_recorded_is_array_or_battery(name):
     result = diagnosed(unrecorded)
     (effect,) = result.effects
     assert {*effect.group} == {"solar_array_current", "battery_current"}, result.sentence
-    assert effect.settings["panel"] == "-z", "the face of the simulated panel"
+    assert effect.settings["panel"] == "zenith", "the face of the simulated panel"
     in_full_sun, sigma = effect.parameters["s_x"].value, effect.parameters["s_x"].sigma
     assert abs(in_full_sun - 2.0 * 250.0) < 4.0 * sigma < 0.5 * in_full_sun, "2 A in full sun"
 

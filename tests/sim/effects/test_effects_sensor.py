@@ -209,7 +209,7 @@ def test_without_columns_geometry_stands_in(bare: Chain) -> None:
     np.testing.assert_allclose(charge, 2.0 * lit - 1.0, atol=1e-9)
     panels = [choice.panel for choice in SolarArrayCurrent().alternatives(setting)]
     assert panels == [choice.panel for choice in BatteryCurrent().alternatives(setting)]
-    assert panels == ["-z", "tracking", "constant"]
+    assert panels == ["zenith", "tracking", "constant"]
 
 
 def test_signs_are_the_contracts(close: Callable[..., None]) -> None:

@@ -340,19 +340,14 @@ def mapped_table(
         loaded, folder, name = column_map, Path("."), "column map"
     else:
         loaded, folder, name = load_column_map(column_map), Path(column_map).parent, Path(column_map).name
-    tle = elements_path(folder if isinstance(path, Table) else path, loaded, folder, tle)
+    if tle is None and loaded.tle is not None:
+        beside = [*([] if isinstance(path, Table) else [_folder(Path(path))]), folder]
+        tle = next((one / loaded.tle for one in beside if (one / loaded.tle).is_file()), beside[0] / loaded.tle)
     table = merged_table(
         path if isinstance(path, Table) else Path(path), loaded, tle=tle, max_samples=max_samples, any_order=any_order
     )
     table.provenance["column_map"] = name
     return table
-
-
-def elements_path(path: Path | str, column_map: ColumnMap, folder: Path, tle: Path | str | None) -> Path | str | None:
-    """The file of two-line elements: `tle`, or the map's, beside the data or in the map's own `folder`."""
-    if tle is None and column_map.tle is not None:
-        return _beside(column_map.tle, [_folder(Path(path)), folder])
-    return tle
 
 
 def matches(path: Path, entry: FileEntry) -> list[Path]:
@@ -379,10 +374,6 @@ def matches(path: Path, entry: FileEntry) -> list[Path]:
 
 def _folder(path: Path) -> Path:
     return path if path.is_dir() else path.parent
-
-
-def _beside(name: str, folders: list[Path]) -> Path:
-    return next((folder / name for folder in folders if (folder / name).is_file()), folders[0] / name)
 
 
 def _check_quantity(name: str, spec: ColumnSpec) -> None:

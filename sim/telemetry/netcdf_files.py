@@ -30,6 +30,12 @@ from fluxtwin.sim.telemetry.quantities import DRIVERS, MAG
 from fluxtwin.sim.telemetry.record import Telemetry
 
 TIME_UNITS = "nanoseconds since 1970-01-01"
+_TIME = {
+    "standard_name": "time",
+    "long_name": "UTC; leap seconds are not counted",
+    "units": TIME_UNITS,
+    "calendar": "proleptic_gregorian",
+}
 _SHA = "fluxtwin_sha256"
 _FORMAT = "fluxtwin_format"
 _CHUNK = 65_536
@@ -233,15 +239,18 @@ def write(telemetry: Telemetry, path: Path | str) -> Path:
     storage = {"compression": "gzip", "compression_opts": 4, "shuffle": True, "fletcher32": True}
     storage |= {"chunks": (min(len(telemetry), _CHUNK),)}
     stamps = telemetry.time.astype("int64")
-    variables = {"time": Variable(("time",), stamps, _time_attributes(), storage=storage)}
+    variables = {"time": Variable(("time",), stamps, _TIME, storage=storage)}
     for name, value in columns.items():
         long_name, units = describe(name)
         units = telemetry.driver_units.get(DRIVERS.name_in(name) or "", units)
         if telemetry.corrected_by and name in MAG.written:
             long_name = f"magnetic field, nominal body axes, corrected by {telemetry.corrected_by}, {name[4]} component"
         variables[name] = Variable(("time",), value, {"long_name": long_name, "units": units}, True, storage)
-    attributes = _file_attributes(telemetry)
-    arrays: dict[str, Any] = {"time": (stamps, _time_attributes())}
+    attributes: dict[str, Any] = {"Conventions": "CF-1.11", "title": "spacecraft magnetometer and attitude telemetry"}
+    attributes[_FORMAT] = FORMAT
+    for key, text in sorted(telemetry.provenance.items()):
+        attributes[f"{PROVENANCE}{key}"] = escaped(str(text)).replace("\0", "\\x00")  # HDF5 has no such character
+    arrays: dict[str, Any] = {"time": (stamps, _TIME)}
     for name, value in columns.items():
         arrays[name] = (value, {**variables[name].attributes, "_FillValue": np.nan})
     attributes[_SHA] = _digest(arrays, attributes)
@@ -256,23 +265,6 @@ def is_own(path: Path | str) -> bool:
             return (isinstance(title, str) and title == TRUTH_TITLE) or opened.verify(opened.names())
     except BadInput:
         return False
-
-
-def _time_attributes() -> dict[str, Any]:
-    return {
-        "standard_name": "time",
-        "long_name": "UTC; leap seconds are not counted",
-        "units": TIME_UNITS,
-        "calendar": "proleptic_gregorian",
-    }
-
-
-def _file_attributes(telemetry: Telemetry) -> dict[str, Any]:
-    attributes: dict[str, Any] = {"Conventions": "CF-1.11", "title": "spacecraft magnetometer and attitude telemetry"}
-    attributes[_FORMAT] = FORMAT
-    for key, value in sorted(telemetry.provenance.items()):
-        attributes[f"{PROVENANCE}{key}"] = escaped(str(value)).replace("\0", "\\x00")  # HDF5 has no such character
-    return attributes
 
 
 def _provenance(opened: NetcdfFile, attributes: dict[str, Any]) -> dict[str, str]:

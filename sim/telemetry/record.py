@@ -13,6 +13,7 @@ import reprlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
 from datetime import date
+from functools import partial
 from types import MappingProxyType
 from typing import Any, TypeGuard
 
@@ -116,7 +117,8 @@ class Telemetry(Shown):
     def __reduce__(self) -> tuple[Any, ...]:
         """For a process elsewhere: mappings that cannot be changed cannot be sent either."""
         values = {item.name: getattr(self, item.name) for item in fields(self)}
-        return _of_fields, ({key: dict(v) if isinstance(v, Mapping) else v for key, v in values.items()},)
+        plain = {key: dict(value) if isinstance(value, Mapping) else value for key, value in values.items()}
+        return partial(Telemetry, **plain), ()
 
     @property
     def spacecraft(self) -> str:
@@ -316,10 +318,6 @@ def concatenate(records: list[Telemetry]) -> Telemetry:
     sources = "; ".join(dict.fromkeys(r.provenance.get("source", "") for r in ordered))
     columns["provenance"] = {**ordered[0].provenance, **_same_origin(ordered), "source": sources}
     return Telemetry(**columns)  # type: ignore[arg-type]
-
-
-def _of_fields(values: dict[str, Any]) -> Telemetry:
-    return Telemetry(**values)
 
 
 def _same_origin(records: list[Telemetry]) -> dict[str, str]:

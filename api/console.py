@@ -120,15 +120,6 @@ def wrapped(text: str, width: int = 80, indent: str = "") -> str:
     return textwrap.fill(text, width, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
 
 
-def without_nan(value: Any) -> Any:
-    """`value` with None in place of NaN and infinities, at any depth: JSON knows neither."""
-    if isinstance(value, Mapping):
-        return {key: without_nan(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [without_nan(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
 class Output:
     """Where one command speaks. With `--json -` only JSON goes to standard output, and no table anywhere."""
 
@@ -219,10 +210,11 @@ class Output:
             return
         import fluxtwin
         from fluxtwin.outputs import JSON_MARK
-        from fluxtwin.sim.base.files import to_json, write_text
+        from fluxtwin.sim.base.files import plain_tree, to_json, write_text
         from fluxtwin.sim.base.seals import sealed_json
 
-        text = to_json(sealed_json({JSON_MARK: fluxtwin.__version__, **without_nan(record)}))
+        known = plain_tree(record, lambda one: None if isinstance(one, float) and not math.isfinite(one) else one)
+        text = to_json(sealed_json({JSON_MARK: fluxtwin.__version__, **known}))
         if self.json_target == "-":
             print(end="", flush=True)
             raw = getattr(sys.stdout, "buffer", None)  # JSON is UTF-8, whatever the terminal speaks

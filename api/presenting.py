@@ -98,18 +98,6 @@ def _followed(found: Followed) -> Presented:
     return Presented([found.line, *whole.sentences], whole.tables)
 
 
-def _campaign(found: Campaign) -> Presented:
-    return Presented(campaign_page.sentences(found.summary), campaign_page.tables(found.summary))
-
-
-def _plan(found: Plan | CalibrationPlan) -> Presented:
-    return Presented([found.sentence, *found.notes], [plan_page.plan_table(found)])
-
-
-def _check(found: CheckReport) -> Presented:
-    return Presented([check_page.verdict(found)], with_rows(check_page.findings_table(found)))
-
-
 def _inventory(found: describing.Inventory) -> Presented:
     span = "" if found.start is None else f", {found.start} to {found.end}"
     columns = ("column", "unit", "known", "every [s]", "lowest", "median", "highest")
@@ -173,10 +161,9 @@ def _sizes(found: AttitudeSolution) -> str:
 
 
 def _draw_fit(axes: Axes, fit: Fit) -> Axes:
-    aside = ~fit.kept
     title = f"Residuals of {fit.method}: {fit.statistics.component_rms_nT:.3g} nT rms"
     residual_nT = calibration_page.reading_minus_model(fit)
-    return on_axes.components(axes, fit.time, residual_nT, y="residual [nT]", title=title, aside=aside)
+    return on_axes.components(axes, fit.time, residual_nT, y="residual [nT]", title=title, aside=~fit.kept)
 
 
 def _draw_diagnosis(axes: Axes, found: Diagnosis) -> Axes:
@@ -193,10 +180,6 @@ def _draw_yaw(axes: Axes, found: YawSolution) -> Axes:
 def _draw_attitude(axes: Axes, found: AttitudeSolution) -> Axes:
     sigma_deg, title = np.degrees(found.sigma_rad), "Error of the attitude about body x, y, z"
     return on_axes.components(axes, found.time, sigma_deg, y="1 sigma [deg]", title=title)
-
-
-def _draw_plan(axes: Axes, found: Plan | CalibrationPlan) -> Axes:
-    return sigma_on(axes, found) if isinstance(found, CalibrationPlan) else power_on(axes, found.questions[0])
 
 
 def _draw_record(axes: Axes, record: Telemetry) -> Axes:
@@ -243,14 +226,14 @@ _WORDS: dict[type, Callable[[Any], Presented]] = {
     Fit: _fit,
     Calibration: _calibration,
     Diagnosis: _diagnosis,
-    Plan: _plan,
-    CalibrationPlan: _plan,
-    CheckReport: _check,
+    Plan: lambda found: Presented([found.sentence, *found.notes], [plan_page.plan_table(found)]),
+    CalibrationPlan: lambda found: Presented([found.sentence, *found.notes], [plan_page.plan_table(found)]),
+    CheckReport: lambda found: Presented([check_page.verdict(found)], with_rows(check_page.findings_table(found))),
     YawSolution: _yaw,
     AttitudeSolution: _attitude,
     Followed: _followed,
     Fleet: lambda found: Presented(found.lines, fleets.tables(found)),
-    Campaign: _campaign,
+    Campaign: lambda found: Presented(campaign_page.sentences(found.summary), campaign_page.tables(found.summary)),
     Trend: lambda found: Presented(found.lines, [trend_table(found)]),
     Export: _export,
     Ensemble: lambda found: Presented([flying.ensemble_sentence(found)], [flying.ensemble_table(found)]),
@@ -263,8 +246,8 @@ _PICTURES: dict[type, Callable[[Axes, Any], Axes]] = {
     Fit: _draw_fit,
     Diagnosis: _draw_diagnosis,
     Followed: lambda axes, found: _draw_diagnosis(axes, found.diagnosis),
-    Plan: _draw_plan,
-    CalibrationPlan: _draw_plan,
+    Plan: lambda axes, found: power_on(axes, found.questions[0]),
+    CalibrationPlan: sigma_on,
     YawSolution: _draw_yaw,
     Trend: _draw_trend,
     AttitudeSolution: _draw_attitude,

@@ -30,6 +30,7 @@ from jinja2 import Environment, StrictUndefined, Template, Undefined, UndefinedE
 from jinja2.runtime import Context
 
 from fluxtwin.scenarios.page import FigureBlock, Page, PageSection, StudyResult, Table
+from fluxtwin.sim.base.files import plain_tree
 from fluxtwin.sim.earth.constants import NT_PER_MG
 
 if TYPE_CHECKING:
@@ -201,7 +202,7 @@ class Words:
         or of a list (`place`, `one`).
         """
         tree = {key: part for key, part in self._summary.items() if key not in ("let", "terminal")}
-        made: dict[str, Any] = _plain(self._entry(tree, self._with_parts(self._summary.get("let", {}), values)))
+        made: dict[str, Any] = plain_tree(self._entry(tree, self._with_parts(self._summary.get("let", {}), values)))
         return made
 
     @cached_property
@@ -322,15 +323,6 @@ def _said(value: Any) -> Any:
     if is_dataclass(value) or isinstance(value, np.ndarray):
         raise TypeError(f"{type(value).__name__}: words want a number or a text")
     return value
-
-
-def _plain(value: Any) -> Any:
-    """Numbers and lists of Python at any depth, as JSON knows them."""
-    if isinstance(value, Mapping):
-        return {key: _plain(part) for key, part in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(part) for part in value]
-    return value.tolist() if isinstance(value, np.ndarray | np.generic) else value
 
 
 def _fixed(value: float, digits: int = 2) -> str:

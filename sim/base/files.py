@@ -16,7 +16,7 @@ import shutil
 import stat
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -76,6 +76,17 @@ def write_toml(path: Path | str, text: str, *, comment: str = "#", draft: bool =
             "a name in it is not UTF-8, which TOML requires", where=str(path), wanted="files with UTF-8 names"
         ) from None
     return write_bytes(path, content)
+
+
+def plain_tree(
+    value: Any, leaf: Callable[[Any], Any] = lambda one: one.tolist() if hasattr(one, "tolist") else one
+) -> Any:
+    """`value` with dicts and lists of Python at any depth, and what `leaf` makes of all else: of arrays, lists."""
+    if isinstance(value, Mapping):
+        return {key: plain_tree(one, leaf) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain_tree(one, leaf) for one in value]
+    return leaf(value)
 
 
 def to_json(value: Any) -> str:

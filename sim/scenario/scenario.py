@@ -159,7 +159,7 @@ class Scenario(SensorSections):
             if value is None:
                 node.pop(last, None)
             else:
-                node[last] = _plain(value)
+                node[last] = files.plain_tree(value)
         changed = validate(tree, Scenario, where="scenario")
         changed._folder = self._folder
         return changed
@@ -178,15 +178,6 @@ class Scenario(SensorSections):
         tree = self.model_dump(exclude_none=True)
         ordered = {name: tree[name] for name in sorted(tree, key=lambda name: name in SensorSections.model_fields)}
         return tomli_w.dumps(ordered)
-
-
-def _plain(value: Any) -> Any:
-    """The value with lists in place of arrays, in sections and lists too."""
-    if isinstance(value, Mapping):
-        return {key: _plain(one) for key, one in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(one) for one in value]
-    return value.tolist() if hasattr(value, "tolist") else value
 
 
 def _section_of(section: type[BaseModel] | None, part: str) -> type[BaseModel] | None:

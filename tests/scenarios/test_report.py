@@ -70,7 +70,7 @@ FIGURES = """
 [let]
 half = "0.5 * size_nT"
 [bars]
-draw = "gap_cases.left_alone"
+draw = "gap.left_alone"
 title = "{{ who }} alone"
 let.names = "['first', 'second']"
 names = "names"

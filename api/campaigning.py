@@ -28,8 +28,7 @@ from fluxtwin.sim.base.progress import Progress
 from fluxtwin.sim.base.seals import sealed_json, unsealed_json
 from fluxtwin.sim.base.shown import Shown
 from fluxtwin.sim.base.workers import answers, require_workers
-from fluxtwin.sim.run.ensemble.draws import flattened
-from fluxtwin.sim.run.ensemble.plan import Plan, make_plan, require_same, write_record
+from fluxtwin.sim.run.ensemble.plan import Plan, flattened, make_plan, require_same, write_record
 from fluxtwin.sim.scenario.scenario import Scenario
 from fluxtwin.sim.telemetry.formats.table import extra
 

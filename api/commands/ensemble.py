@@ -64,7 +64,7 @@ def _extract(output: Output, scenario: Path, out: Path, seed: int | None, vehicl
     from fluxtwin import outputs
     from fluxtwin.scenarios.packaged import load_scenario
     from fluxtwin.sim.base.errors import BadInput
-    from fluxtwin.sim.run.ensemble.draws import vehicle_scenario
+    from fluxtwin.sim.run.ensemble.plan import vehicle_scenario
     from fluxtwin.sim.scenario.scenario import save_scenario
 
     if vehicle < 0:

@@ -33,8 +33,7 @@ from fluxtwin.sim.earth import epoch, frames
 from fluxtwin.sim.earth.constants import EARTH_RATE_RAD_S
 from fluxtwin.sim.earth.field import FieldModel, field_beyond_E_nT, field_N_nT
 from fluxtwin.sim.earth.tle import TleSeries, along_track_sigma_km
-from fluxtwin.sim.telemetry.origin import Origin
-from fluxtwin.sim.telemetry.record import Telemetry
+from fluxtwin.sim.telemetry.record import Origin, Telemetry
 from fluxtwin.sim.telemetry.time_stamps import GPS_EPOCH
 
 HOURS = tuple(sign * half / 2.0 for half in range(1, 29) for sign in (1, -1))

@@ -40,8 +40,7 @@ from fluxtwin.sim.base.errors import OutOfRange
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.earth import frames, sun
 from fluxtwin.sim.earth.field import FieldModel, field_N_nT
-from fluxtwin.sim.telemetry.origin import Origin
-from fluxtwin.sim.telemetry.record import Telemetry
+from fluxtwin.sim.telemetry.record import Origin, Telemetry
 
 SUN_MISFIT_DEG = 20.0
 """Sun sensors err by less than a few degrees; a wrong attitude or axis by tens."""

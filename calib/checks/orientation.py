@@ -21,7 +21,7 @@ from fluxtwin.calib.common.conventions import best_turn
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import frames
 from fluxtwin.sim.earth.references import rotation_XN
-from fluxtwin.sim.telemetry.origin import Origin
+from fluxtwin.sim.telemetry.record import Origin
 
 FAR_BETTER = 0.5
 """An alternative is named when it leaves at most half of the misfit."""

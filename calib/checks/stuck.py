@@ -12,8 +12,7 @@ from fluxtwin.sim.base.errors import OutOfRange
 from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.earth.field import FieldModel
-from fluxtwin.sim.telemetry.origin import Origin
-from fluxtwin.sim.telemetry.record import Telemetry
+from fluxtwin.sim.telemetry.record import Origin, Telemetry
 
 STUCK_S, STUCK_ROWS = 60.0, 10
 """Shorter runs of one reading come from coarse steps or fast sampling."""

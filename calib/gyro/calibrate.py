@@ -18,8 +18,7 @@ from fluxtwin.calib.common.options import GyroOptions
 from fluxtwin.calib.common.records import Calibration, TelemetryBias
 from fluxtwin.calib.common.robust import rows_to_keep
 from fluxtwin.calib.common.words import say
-from fluxtwin.calib.gyro.motion import LARGEST_TURN_RAD, cut
-from fluxtwin.calib.gyro.solve import GyroRows, Solved, drops, fields_without_errors, solve
+from fluxtwin.calib.gyro.solve import LARGEST_TURN_RAD, GyroRows, Solved, cut, drops, fields_without_errors, solve
 from fluxtwin.sim.base.errors import BadInput, NoAnswer
 from fluxtwin.sim.base.random_streams import stream
 from fluxtwin.sim.base.types import FloatArray

@@ -40,8 +40,7 @@ from fluxtwin.calib.common.records import Calibration, TelemetryBias, seconds_of
 from fluxtwin.calib.common.regression import Regression, regress, residuals
 from fluxtwin.calib.common.robust import outlier_words, rows_to_keep
 from fluxtwin.calib.linear.covariance_report import report_covariance
-from fluxtwin.calib.linear.estimating_equations import turned_rad2
-from fluxtwin.calib.linear.problem import LinearProblem, Solution
+from fluxtwin.calib.linear.estimating_equations import LinearProblem, Solution, turned_rad2
 from fluxtwin.sim.base.errors import BadInput, NoAnswer
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth.field import FieldModel

@@ -35,6 +35,8 @@ from fluxtwin.calib.common.error_model import DECLARED, FOUND, ErrorModel, Poste
 from fluxtwin.calib.common.records import seconds_of
 from fluxtwin.calib.common.shrinkage import grown, half_of, in_units_of
 from fluxtwin.calib.linear.estimating_equations import (
+    LinearProblem,
+    Solution,
     Spread,
     evidence,
     of_blocks,
@@ -43,7 +45,6 @@ from fluxtwin.calib.linear.estimating_equations import (
     turned_rad2,
     white_of,
 )
-from fluxtwin.calib.linear.problem import LinearProblem, Solution
 from fluxtwin.sim.base.types import FloatArray
 
 _SANDWICH_ROWS = 10  # a parameter of one axis

@@ -25,8 +25,8 @@ from fluxtwin.sim.telemetry.column_map import ColumnMap, ColumnSpec, FileEntry, 
 from fluxtwin.sim.telemetry.column_map_read import Source, read_source, require_increasing
 from fluxtwin.sim.telemetry.columns import FileTable
 from fluxtwin.sim.telemetry.formats.table import Table
-from fluxtwin.sim.telemetry.origin import Origin
 from fluxtwin.sim.telemetry.quantities import BY_MAP_NAME, DRIVERS, MAG2, POSITION, VELOCITY, family_of
+from fluxtwin.sim.telemetry.record import Origin
 
 if TYPE_CHECKING:
     from fluxtwin.sim.earth.tle import TleSeries

@@ -17,7 +17,6 @@ import numpy as np
 
 from fluxtwin.sim.base.errors import BadInput, nearest
 from fluxtwin.sim.base.types import FloatArray, TimeArray
-from fluxtwin.sim.telemetry.origin import Origin
 from fluxtwin.sim.telemetry.quantities import (
     ANGLES,
     FAMILIES,
@@ -29,7 +28,7 @@ from fluxtwin.sim.telemetry.quantities import (
     Quantity,
     family_of,
 )
-from fluxtwin.sim.telemetry.record import Telemetry, plain_text
+from fluxtwin.sim.telemetry.record import Origin, Telemetry, plain_text
 
 WHEEL = re.compile(r"wheel_([1-9][0-9]?)_speed_rpm")
 _WHEEL_NO_UNIT = re.compile(r"wheel_[1-9][0-9]?_speed(_rad_s|_rps|_Hz)?", re.IGNORECASE)

@@ -3,15 +3,24 @@
 One frozen record of time-first float64 arrays. Simulated and recorded data pass the same constructor, so
 that nobody downstream can tell which it was. Missing values are NaN; a column that is absent is None.
 What each column is says `quantities`; `csv_files`, `netcdf_files` and `column_map` read and write them.
+
+A file is read as its columns or its map say. Whoever asks whether that was right must know what was done: `Origin`.
 """
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Literal
+
+if TYPE_CHECKING:
+    from fluxtwin.sim.earth.tle import TleSeries
 
 import dataclasses
 import itertools
 import reprlib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import fields
 from datetime import date
 from functools import partial
 from types import MappingProxyType
@@ -22,8 +31,32 @@ import numpy as np
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.shown import Shown
 from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
-from fluxtwin.sim.telemetry.origin import Origin
 from fluxtwin.sim.telemetry.quantities import DRIVERS, FAMILIES, RECORDED
+
+
+@dataclass(frozen=True)
+class Origin:
+    """What a record's GCRS positions and attitude were made from with the help of its stamps.
+
+    A wrong stamp turns the Earth under a GCRS position; it leaves an Earth-fixed position in place, but turns what is
+    computed from it; and it moves a position that two-line elements gave along the orbit.
+    """
+
+    position: Literal["GCRS", "ITRS"] = "GCRS"
+    attitude: Literal["GCRS", "ITRS", "NEC", "NED", "orbital"] = "GCRS"
+    """What it was recorded relative to; for the stamps sun and nadir are as good as the orbital frame."""
+    scalar_first: bool = False
+    """The map took the quaternion's first component for the scalar."""
+    elements: TleSeries | None = None
+    conjugated: bool = False
+    """The map took the stored quaternion for the conjugate."""
+    matrix: Sequence[Sequence[float]] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+    """(3, 3) by which the map turned the stored readings."""
+    count_nT: float | None = 1.0
+    """Reading [nT] for a stored number of 1; None where it is not one factor for all axes."""
+    path: str = field(default="", compare=False)
+    """Of the file that was read, which is not written over; empty where there was none."""
+
 
 _SHAPES = {quantity.name: quantity.components for quantity in RECORDED}
 
@@ -117,7 +150,9 @@ class Telemetry(Shown):
     def __reduce__(self) -> tuple[Any, ...]:
         """For a process elsewhere: mappings that cannot be changed cannot be sent either."""
         values = {item.name: getattr(self, item.name) for item in fields(self)}
-        plain = {key: dict(value) if isinstance(value, Mapping) else value for key, value in values.items()}
+        plain: dict[str, Any] = {
+            key: dict(value) if isinstance(value, Mapping) else value for key, value in values.items()
+        }
         return partial(Telemetry, **plain), ()
 
     @property

@@ -17,8 +17,8 @@ from matplotlib.text import Text
 from fluxtwin.gap.report.words import at_the_end
 from fluxtwin.report import png_bytes
 from fluxtwin.scenarios.flight_field.tracks import read_magsat
-from fluxtwin.scenarios.flight_gaps import compute, records, study
-from fluxtwin.scenarios.flight_gaps.compute import alone, coefficients, visible_nT
+from fluxtwin.scenarios.flight_gaps import records, study
+from fluxtwin.scenarios.flight_gaps.study import alone, coefficients, visible_nT
 from fluxtwin.scenarios.flights import Numbers
 from fluxtwin.scenarios.recorded_files import Settings, check_folder, numbers, opened, read_settings
 from fluxtwin.sim.base.errors import BadInput
@@ -54,10 +54,10 @@ def flight(shared: Path, settings: Settings) -> Path:
 def quick(flight: Path, settings: Settings) -> Numbers:
     """The study with the cases that take a second or two; every file is read."""
     wanted = {"storm-none", "storm-default", "aircraft-eddy_current"}
-    asked = [case for case in compute.read_cases() if case.name in wanted]
+    asked = [case for case in study.read_cases() if case.name in wanted]
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(compute, "read_cases", lambda: asked)
-        return compute.compute(flight, settings, silent)
+        patch.setattr(study, "read_cases", lambda: asked)
+        return study.compute(flight, settings, silent)
 
 
 def test_the_storm_takes_as_an_independent_look_found(quick: Numbers, close: Callable[..., None]) -> None:
@@ -77,7 +77,7 @@ def test_the_storm_takes_as_an_independent_look_found(quick: Numbers, close: Cal
 
 def test_a_mistake_in_the_record_is_seen(flight: Path, settings: Settings) -> None:
     """East and centre swapped, down taken as up, a hundredth of scale: each moves the table by over 5 nT."""
-    arc = compute.storm_record(flight, settings)
+    arc = study.storm_record(flight, settings)
     for wrong in (arc.mag_B_nT[:, [1, 0, 2]], arc.mag_B_nT * [1.0, 1.0, -1.0], 1.01 * arc.mag_B_nT):
         table = alone(arc.replace(mag_B_nT=wrong), load_field("igrf14"), (), [(RingCurrent(),)])
         assert abs(table.shares["ring_current"].left_nT - 35.0) > 5.0
@@ -85,7 +85,7 @@ def test_a_mistake_in_the_record_is_seen(flight: Path, settings: Settings) -> No
 
 def test_b_and_S_hide_a_ring_current_on_one_arc(flight: Path, settings: Settings) -> None:
     """The independent look: 0.04 of 48 nT left, a thousandth; a whole orbit leaves a quarter."""
-    arc = compute.storm_record(flight, settings)
+    arc = study.storm_record(flight, settings)
     assert len(arc) == 78
     whole, left = visible_nT(arc, load_field("igrf14"), MODELLED, RingCurrent(), 50.0)
     assert left < 1e-3 * whole
@@ -95,7 +95,7 @@ def test_b_and_S_hide_a_ring_current_on_one_arc(flight: Path, settings: Settings
 def test_the_storm_is_untestable_with_b_and_S_free(quick: Numbers) -> None:
     found = quick.answers["storm-default"].found
     assert "ring_current" in found.untestable
-    assert "ring_current" not in compute.names_of(found)
+    assert "ring_current" not in study.names_of(found)
     assert quick.answers["storm-default"].agrees is True
 
 
@@ -172,13 +172,13 @@ def test_a_wrong_name_next_to_the_right_one_is_reported(quick: Numbers) -> None:
     (effect,) = eddy.found.effects
     two = dataclasses.replace(eddy.found, effects=(effect, dataclasses.replace(effect, name="hysteresis", group=())))
 
-    def wanting(wanted: compute.Wanted | None) -> compute.Case:
+    def wanting(wanted: study.Wanted | None) -> study.Case:
         return eddy.case.model_copy(update={"wanted": wanted})
 
-    extra = dataclasses.replace(eddy, found=two, case=wanting(compute.Wanted(named=["eddy_current"])))
+    extra = dataclasses.replace(eddy, found=two, case=wanting(study.Wanted(named=["eddy_current"])))
     assert study.words().say("as_expected", answer=extra) == "yes; wrong: hysteresis"
     open_question = dataclasses.replace(eddy, case=wanting(None))
-    wrong = dataclasses.replace(eddy, case=wanting(compute.Wanted(verdict="unknown")))
+    wrong = dataclasses.replace(eddy, case=wanting(study.Wanted(verdict="unknown")))
     answers = dict(enumerate((eddy, extra, wrong, open_question)))
     said = study.words().say("status", o=Numbers(answers=answers))
     assert said == (
@@ -201,8 +201,8 @@ def test_what_an_answer_must_hold(quick: Numbers) -> None:
         (eddy, {"not_first": "bias"}, {"not_first": "eddy_current"}),
         (none, {"not_first": "eddy_current"}, {"only": "eddy_current"}),
     ):
-        assert compute.Wanted.model_validate(met).met(found)
-        assert not compute.Wanted.model_validate(unmet).met(found)
+        assert study.Wanted.model_validate(met).met(found)
+        assert not study.Wanted.model_validate(unmet).met(found)
 
 
 def test_models_that_are_wrong_in_a_known_way(close: Callable[..., None]) -> None:
@@ -249,10 +249,10 @@ def test_the_residual_files_are_the_gap(flight: Path, settings: Settings) -> Non
     assert table.raw_nT == pytest.approx(np.sqrt(np.mean(np.square(body_nT[rows]))), abs=1e-3)
 
 
-def completed(quick: Numbers, other: compute.Answer) -> Numbers:
+def completed(quick: Numbers, other: study.Answer) -> Numbers:
     """The quick outcome with that answer in the cases that were not run; DMSP's have two fill values."""
     answers = {}
-    for case in compute.read_cases():
+    for case in study.read_cases():
         answer = quick.answers.get(case.name, dataclasses.replace(other, case=case))
         two = np.arange(answer.filled.size) < (2 if case.part == "dmsp" else 0)
         answers[case.name] = dataclasses.replace(answer, filled=two)
@@ -273,7 +273,7 @@ def test_the_page_holds_what_was_found(quick: Numbers, settings: Settings) -> No
     assert "+0.1" in " ".join(remains.paragraphs)
     assert len(remains.tables[0].rows) > 20
     found = json.loads(to_json(result.summary))
-    assert [case["name"] for case in found["cases"]] == [case.name for case in compute.read_cases()]
+    assert [case["name"] for case in found["cases"]] == [case.name for case in study.read_cases()]
     for block in (*remains.figures, *storm.figures):
         assert isinstance(block.figure, Figure)
         assert len(png_bytes(block.figure)) > 10_000

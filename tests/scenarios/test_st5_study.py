@@ -19,9 +19,8 @@ from fluxtwin.calib.spin.start import blind_start
 from fluxtwin.plots.spinners import draw_attitude_error
 from fluxtwin.scenarios.flights import Numbers
 from fluxtwin.scenarios.st5 import mission, study
-from fluxtwin.scenarios.st5.calibration import filtered, options, settings
 from fluxtwin.scenarios.st5.mission import terms_of, truth_terms
-from fluxtwin.scenarios.st5.study import words
+from fluxtwin.scenarios.st5.study import filtered, options, settings, words
 from fluxtwin.scenarios.words import Claim
 from fluxtwin.sim.earth.field import load_field
 

@@ -32,8 +32,7 @@ from fluxtwin.sim.earth import frames, references, sun
 from fluxtwin.sim.earth.field import FieldModel, field_N_nT, load_field
 from fluxtwin.sim.earth.orbit import Orbit
 from fluxtwin.sim.run.simulate import simulate
-from fluxtwin.sim.telemetry.origin import Origin
-from fluxtwin.sim.telemetry.record import Telemetry, concatenate
+from fluxtwin.sim.telemetry.record import Origin, Telemetry, concatenate
 from fluxtwin.sim.telemetry.telemetry_files import read_telemetry, write_telemetry
 
 pytestmark = pytest.mark.property

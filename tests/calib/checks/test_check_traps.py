@@ -27,8 +27,7 @@ from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.earth.field import FieldModel, field_beyond_E_nT, field_N_nT, load_field
 from fluxtwin.sim.earth.frames import q_from_rotation, rotation_EN, rotation_from_q
 from fluxtwin.sim.earth.tle import read_elements, read_tle
-from fluxtwin.sim.telemetry.origin import Origin
-from fluxtwin.sim.telemetry.record import Telemetry
+from fluxtwin.sim.telemetry.record import Origin, Telemetry
 from fluxtwin.sim.telemetry.telemetry_files import read_telemetry
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "benchmarks"))

@@ -17,8 +17,7 @@ from fluxtwin.calib.common.fit import Fit
 from fluxtwin.calib.common.records import seconds_of
 from fluxtwin.calib.gyro import calibrate
 from fluxtwin.calib.gyro import solve as solver
-from fluxtwin.calib.gyro.motion import cut, degree_for, follow
-from fluxtwin.calib.gyro.solve import BASIS_S, GyroRows, drops, fields_without_errors, solve
+from fluxtwin.calib.gyro.solve import BASIS_S, GyroRows, cut, degree_for, drops, fields_without_errors, follow, solve
 from fluxtwin.sim.base.errors import BadInput, NoAnswer
 from fluxtwin.sim.base.late import late
 from fluxtwin.sim.base.random_streams import stream

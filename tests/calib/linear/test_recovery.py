@@ -21,7 +21,7 @@ from fluxtwin.calib.common.design import assemble
 from fluxtwin.calib.common.noise import ReadingNoise
 from fluxtwin.calib.common.options import LinearOptions
 from fluxtwin.calib.linear.calibrate import _shortening, calibrate_linear, fit_design
-from fluxtwin.calib.linear.problem import LinearProblem
+from fluxtwin.calib.linear.estimating_equations import LinearProblem
 
 pytestmark = pytest.mark.closure
 

@@ -12,8 +12,15 @@ from scipy import stats
 from worlds import scenario_text
 
 from fluxtwin.sim.base.errors import BadInput
-from fluxtwin.sim.run.ensemble.draws import drawn_values, flattened, quantile, vehicle_scenario, vehicle_seed
-from fluxtwin.sim.run.ensemble.plan import make_plan, require_same
+from fluxtwin.sim.run.ensemble.plan import (
+    drawn_values,
+    flattened,
+    make_plan,
+    quantile,
+    require_same,
+    vehicle_scenario,
+    vehicle_seed,
+)
 from fluxtwin.sim.run.simulate import simulate
 from fluxtwin.sim.scenario.draws import DrawSection
 from fluxtwin.sim.scenario.scenario import Scenario, parse_scenario

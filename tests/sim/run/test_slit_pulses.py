@@ -8,8 +8,7 @@ import pytest
 from fluxtwin.scenarios.st5 import mission
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.earth import frames
-from fluxtwin.sim.run.simulate import simulate
-from fluxtwin.sim.run.slit_pulses import _merged
+from fluxtwin.sim.run.simulate import _merged, simulate
 from fluxtwin.sim.run.world import build_world
 from fluxtwin.sim.scenario.scenario import parse_scenario
 from fluxtwin.sim.spacecraft.sensors.slit_sun_sensor import SlitSunSensor

@@ -83,11 +83,6 @@ def _of(result: object, by_type: dict[type, Callable[..., Any]]) -> Callable[...
     return next(make for kind, make in by_type.items() if isinstance(result, kind))
 
 
-def _fit(fit: Fit) -> Presented:
-    verdict = [] if fit.verdict is None else list(fit.verdict.lines)
-    return Presented([*verdict, *fit.messages], calibration_page.tables(fit))
-
-
 def _diagnosis(found: Diagnosis) -> Presented:
     sentences = [found.sentence, *diagnosis_page.lines(found), *found.notes]
     return Presented(sentences, diagnosis_page.tables(found))
@@ -223,7 +218,7 @@ def _draw_trend(axes: Axes, found: Trend) -> Axes:
 
 
 _WORDS: dict[type, Callable[[Any], Presented]] = {
-    Fit: _fit,
+    Fit: lambda fit: Presented([*getattr(fit.verdict, "lines", ()), *fit.messages], calibration_page.tables(fit)),
     Calibration: _calibration,
     Diagnosis: _diagnosis,
     Plan: lambda found: Presented([found.sentence, *found.notes], [plan_page.plan_table(found)]),

@@ -13,7 +13,7 @@ import numpy as np
 
 from fluxtwin.calib.common.apply import apply_calibration, calibration_of
 from fluxtwin.calib.common.records import Calibration
-from fluxtwin.calib.methods import calibrate_by, with_options
+from fluxtwin.calib.methods import calibrate_by, with_options, with_parameters
 from fluxtwin.notebook import usual
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.progress import Progress
@@ -84,14 +84,8 @@ def with_keywords(verb: F, of: Callable[..., Any], said: str) -> F:
 
     said: the words for the docstring, in which {names} stands for the names.
     """
-    own = inspect.signature(verb)
-    kept = [one for one in own.parameters.values() if one.kind is not one.VAR_KEYWORD]
-    taken = [one for one in inspect.signature(of).parameters.values() if one.default is not one.empty]
-    added = [one.replace(kind=one.KEYWORD_ONLY) for one in taken]
-    verb.__signature__ = own.replace(parameters=[*kept, *added])  # type: ignore[attr-defined]
-    names = ", ".join(one.name for one in added)
-    verb.__doc__ = f"{inspect.cleandoc(verb.__doc__ or '')}\n\n{said.format(names=names)}\n"
-    return verb
+    added = [one for one in inspect.signature(of).parameters.values() if one.default is not one.empty]
+    return with_parameters(verb, added, said.format(names=", ".join(one.name for one in added)))
 
 
 def with_reading(verb: F) -> F:

@@ -80,18 +80,21 @@ def offered() -> list[Offered]:
     return out
 
 
+def with_parameters(verb: F, added: Sequence[inspect.Parameter], said: str) -> F:
+    """The verb with these in the place of its `**` keywords, in its signature and, as `said`, in its docstring."""
+    own = inspect.signature(verb)
+    kept = [one for one in own.parameters.values() if one.kind is not one.VAR_KEYWORD]
+    keywords = [one.replace(kind=one.KEYWORD_ONLY) for one in added]
+    verb.__signature__ = own.replace(parameters=[*kept, *keywords])  # type: ignore[attr-defined]
+    verb.__doc__ = f"{inspect.cleandoc(verb.__doc__ or '')}\n\n{said}\n"
+    return verb
+
+
 def with_options(verb: F) -> F:
     """The verb, whose `**options` are those of the methods: its signature and its docstring name them."""
-    own = inspect.signature(verb)
-    added = [
-        inspect.Parameter(one.name, inspect.Parameter.KEYWORD_ONLY, default=one.default, annotation=one.annotation)
-        for one in offered()
-    ]
-    kept = [one for one in own.parameters.values() if one.kind is not one.VAR_KEYWORD]
-    verb.__signature__ = own.replace(parameters=[*kept, *added])  # type: ignore[attr-defined]
-    lines = "\n".join(f"{one.name}: {one.option.help}" for one in offered())
-    verb.__doc__ = f"{inspect.cleandoc(verb.__doc__ or '')}\n\n{lines}\n"
-    return verb
+    kind = inspect.Parameter.KEYWORD_ONLY
+    added = [inspect.Parameter(one.name, kind, default=one.default, annotation=one.annotation) for one in offered()]
+    return with_parameters(verb, added, "\n".join(f"{one.name}: {one.option.help}" for one in offered()))
 
 
 def require(method: str | None, given: Mapping[str, Any]) -> None:

@@ -57,10 +57,8 @@ def sigma_on(axes: Axes, plan: CalibrationPlan) -> Axes:
     axes.set_yscale("log")
     style.log_ruler(axes.yaxis)
     axes.set_xlim(left=0.0)
-    unit = "1" if plan.unit == "1" else plan.unit
-    style.label(
-        axes, x="hours flown [h]", y=f"sigma of {plan.worst} [{unit}]", title=f"What halves the sigma of {plan.worst}?"
-    )
+    y, title = f"sigma of {plan.worst} [{plan.unit}]", f"What halves the sigma of {plan.worst}?"
+    style.label(axes, x="hours flown [h]", y=y, title=title)
     return axes
 
 

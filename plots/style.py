@@ -101,24 +101,20 @@ def legend(axes: Axes, location: str = "best", *, columns: int = 1) -> Legend:
     """A legend of the labelled series on a white ground, drawn as it is."""
     look: dict[str, Any] = {"framealpha": 0.9, "edgecolor": PALE, "handlelength": 2.6}
     made: Legend = axes.legend(loc=cast(Any, location), ncols=columns, fontsize=NOTE_PT, **look)
-    for text in made.get_texts():
-        _plain(text)
+    _plain(*made.get_texts())
     return made
 
 
 def legend_below(made: Figure, axes: Axes, *, columns: int = 3, frame: bool = True) -> None:
     """One legend under all panels, of the series of one of them, drawn as it is."""
     below: dict[str, Any] = {"loc": "outside lower center", "ncols": columns, "fontsize": NOTE_PT, "frameon": frame}
-    for text in made.legend(*axes.get_legend_handles_labels(), **below).get_texts():
-        _plain(text)
+    _plain(*made.legend(*axes.get_legend_handles_labels(), **below).get_texts())
 
 
 def legend_beside(axes: Axes) -> None:
     """A legend to the right of the panel, outside of it, drawn as it is."""
     look: dict[str, Any] = {"frameon": False, "handlelength": 1.2, "borderaxespad": 0.2, "markerscale": 2.0}
-    made = axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.05), fontsize=NOTE_PT, **look)
-    for text in made.get_texts():
-        _plain(text)
+    _plain(*axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.05), fontsize=NOTE_PT, **look).get_texts())
 
 
 def mark_beyond(axes: Axes, x: FloatArray | TimeArray, y: FloatArray, *, colour: str, size: float = 5.0) -> None:
@@ -211,5 +207,6 @@ def zero_line(axes: Axes) -> None:
     axes.axhline(0.0, color=GREY, linewidth=0.8, zorder=0.5)
 
 
-def _plain(text: Text) -> None:
-    text.set_parse_math(False)
+def _plain(*texts: Text) -> None:
+    for text in texts:
+        text.set_parse_math(False)

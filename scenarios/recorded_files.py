@@ -13,7 +13,7 @@ import tomli_w
 from fluxtwin.scenarios.page import StudyResult
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.files import write_text
-from fluxtwin.sim.base.progress import Progress, part_of
+from fluxtwin.sim.base.progress import Progress, part_of, silent
 from fluxtwin.sim.base.toml_input import read_tree
 from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
 from fluxtwin.sim.telemetry.csv_files import CsvFile, open_csv
@@ -67,11 +67,11 @@ def check_folder(data: Path | None, files: Sequence[str]) -> Path:
 
 def run_on_files(
     settings_file: Path,
-    out: Path,
-    data: Path | None,
-    progress: Progress,
     compute: Callable[[Path, Settings, Progress], F],
     present: Callable[[F, Settings], StudyResult],
+    out: Path,
+    data: Path | None,
+    progress: Progress = silent,
 ) -> StudyResult:
     """The whole of a study of recorded files. out: an existing folder, which receives the settings too; data: their folder.
 

@@ -20,7 +20,6 @@ from fluxtwin.calib.common.digits import plain
 from fluxtwin.calib.common.direction import CONFIDENCE
 from fluxtwin.calib.common.observability import listed
 from fluxtwin.calib.common.options import Estimator
-from fluxtwin.calib.common.records import Calibration
 from fluxtwin.calib.common.residuals import residuals_of, size_residuals_of
 from fluxtwin.calib.common.robust import find_outliers
 from fluxtwin.sim.base.errors import BadInput, FluxtwinError, NoAnswer
@@ -161,17 +160,14 @@ def _held_out(
     parts = []
     for seen, unseen in (halves, halves[::-1]):
         known = fit(telemetry.select(np.flatnonzero(seen))).calibration
-        parts.append((np.flatnonzero(unseen), _error_nT(telemetry.select(np.flatnonzero(unseen)), known, model)))
+        part = telemetry.select(np.flatnonzero(unseen))
+        vector = part.has_attitude.any()
+        error_nT = -residuals_of(part, known, model) if vector else size_residuals_of(part, known, model)
+        parts.append((np.flatnonzero(unseen), error_nT))
     error_nT = np.full((len(telemetry), parts[0][1].shape[1]), np.nan)
     for rows, values in parts:
         error_nT[rows] = values
     return error_nT
-
-
-def _error_nT(telemetry: Telemetry, known: Calibration, model: FieldModel) -> FloatArray:
-    if telemetry.has_attitude.any():
-        return -residuals_of(telemetry, known, model)
-    return size_residuals_of(telemetry, known, model)
 
 
 def _result(name: str, telemetry: Telemetry, model: FieldModel, error_nT: FloatArray, kept: BoolArray) -> MethodResult:

@@ -66,8 +66,7 @@ def sandwich_covariance(
     is r_i x + Sigma_x M_i, whose mean vanishes at the corrected slopes.
     """
     m = fit.xx.shape[0]
-    leverage = np.eye(m + 1)
-    leverage[:m, :m] = np.linalg.inv(fit.xx)
+    leverage = bread_of(fit, np.zeros_like(noise_xx))
     shift = np.pad(slopes @ noise_xx, ((0, 0), (0, 1)))
     meat = np.zeros((3 * (m + 1), 3 * (m + 1)))
     for at, x in blocks(parts, len(residual)):

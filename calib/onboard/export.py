@@ -123,7 +123,9 @@ def export_calibration(calibration: Calibration, to: str, *, instance: int = 1, 
     target = find_target(to)
     require_instance(target, instance)
     wholly = offset_first_from_correction(calibration.correction)
-    formed = _formed(wholly, target)
+    # M = O P without its rotation O where only a symmetric P fits: the size of the field stays exact.
+    M: FloatArray = polar_split(wholly.M)[1] if target.symmetric else wholly.M
+    formed = OffsetFirst(M, wholly.o_nT, wholly.T_nT_per_Am2 if target.has_torquers else None)
     refused = [*_left_out(calibration, target), *target.beyond(formed)]
     form = added_error(wholly, formed)
     if form.largest_deg > WORST_FORM_DEG:
@@ -157,7 +159,8 @@ def import_calibration(path: Path | str, *, instance: int = 1, magnetometer: int
     covariance and no span. Raises BadInput for a file that no target knows, or that lacks a number.
     """
     path = Path(path)
-    text = _text(path)
+    text = text_of(path, wanted="a calibration")
+    require_sealed(text, where=str(path))
     if path.suffix.lower() == ".toml":
         return Calibration.from_toml(path)
     target = next((one for one in TARGETS.values() if one.is_of(text)), None)
@@ -189,12 +192,6 @@ def require_instance(target: Target, instance: int) -> None:
         raise BadInput(f"{instance}", where="--instance", wanted=f"{wanted} for {target.name}")
 
 
-def _formed(held: OffsetFirst, target: Target) -> OffsetFirst:
-    """M = O P without its rotation O where only a symmetric P fits: the size of the field stays exact."""
-    M: FloatArray = polar_split(held.M)[1] if target.symmetric else held.M
-    return OffsetFirst(M, held.o_nT, held.T_nT_per_Am2 if target.has_torquers else None)
-
-
 def _left_out(calibration: Calibration, target: Target) -> list[str]:
     T = calibration.T_nT_per_Am2
     found = []
@@ -214,9 +211,3 @@ def _heading(calibration: Calibration, formula: str) -> Sequence[str]:
         f"Calibration {calibration.digest[:12]} of {' '.join(whose.split())}{span}; reading m, field B in body axes",
         formula,
     )
-
-
-def _text(path: Path) -> str:
-    text = text_of(path, wanted="a calibration")
-    require_sealed(text, where=str(path))
-    return text

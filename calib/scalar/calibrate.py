@@ -25,9 +25,19 @@ from fluxtwin.calib.common.fit import Fit, with_warnings
 from fluxtwin.calib.common.noise import ReadingNoise, scalar_noise
 from fluxtwin.calib.common.options import ScalarOptions
 from fluxtwin.calib.common.records import Calibration, TelemetryBias
-from fluxtwin.calib.common.robust import outlier_words, rows_to_keep
+from fluxtwin.calib.common.robust import outlier_words
 from fluxtwin.calib.scalar.covariance import Scores, field_error_covariance, scalar_covariance, scores_of
-from fluxtwin.calib.scalar.model import ScalarData, Solved, Sums, add_up, pack, residual, solve, unpack
+from fluxtwin.calib.scalar.model import (
+    ScalarData,
+    Solved,
+    Sums,
+    add_up,
+    pack,
+    residual,
+    solve,
+    unpack,
+    without_outliers,
+)
 from fluxtwin.calib.scalar.observability import choose, other_solution, refuse_thin, require_meaning, require_observed
 from fluxtwin.calib.scalar.rows import DIPOLES, ScalarProblem, assemble_scalar, make_problem
 from fluxtwin.calib.scalar.twostep import center, center_terms, twostep
@@ -191,15 +201,9 @@ def fit_rows(
 
 def _first(problem: ScalarProblem, start: FloatArray) -> tuple[Solved, BoolArray]:
     """A solution before the noise is known, and the rows (N,) that are no outliers."""
-    data, p = problem.data, start
-
-    def refit(weights: FloatArray) -> FloatArray:
-        nonlocal p
-        p = solve(p, data, weights, adjusted=False).p
-        return residual(p, data)[:, None]
-
+    data = problem.data
     size = np.sqrt((data.B**2).sum(axis=1))
-    kept = rows_to_keep((size - data.H)[:, None], refit, problem.options.robust)
+    p, kept = without_outliers(start, data, (size - data.H)[:, None], problem.options.robust)
     return solve(p, data, kept.astype(np.float64), adjusted=False), kept
 
 

@@ -28,6 +28,7 @@ import numpy as np
 
 from fluxtwin.calib.common.conventions import PAIRS, six_of, symmetric
 from fluxtwin.calib.common.regression import solve_scaled
+from fluxtwin.calib.common.robust import rows_to_keep
 from fluxtwin.sim.base.types import FloatArray
 
 _BLOCK_ROWS = 32768
@@ -224,6 +225,18 @@ def solve(
     else:
         converged = converged and not adjusted
     return Solved(p, now, converged and _proper(p, data), rounds)
+
+
+def without_outliers(p: FloatArray, data: ScalarData, start: FloatArray, kind: str) -> tuple[FloatArray, np.ndarray]:
+    """A solution before the noise is known, and the rows (N,) that are no outliers; start and kind as of `rows_to_keep`."""
+
+    def refit(weights: FloatArray) -> FloatArray:
+        nonlocal p
+        p = solve(p, data, weights, adjusted=False).p
+        return residual(p, data)[:, None]
+
+    kept = rows_to_keep(start, refit, kind)
+    return p, kept
 
 
 def _settled(step: FloatArray, now: Sums, data: ScalarData) -> bool:

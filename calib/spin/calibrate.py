@@ -28,9 +28,9 @@ from fluxtwin.calib.common.observability import field_variation
 from fluxtwin.calib.common.options import LinearOptions, SpinOptions
 from fluxtwin.calib.common.records import LARGE_S, Calibration
 from fluxtwin.calib.common.residuals import residual_statistics
-from fluxtwin.calib.common.robust import TUKEY_AT, find_outliers, robust_distance, rows_to_keep
+from fluxtwin.calib.common.robust import TUKEY_AT, find_outliers, robust_distance
 from fluxtwin.calib.linear.calibrate import fit_design
-from fluxtwin.calib.scalar.model import ScalarData, pack, residual, solve
+from fluxtwin.calib.scalar.model import ScalarData, pack, residual, without_outliers
 from fluxtwin.calib.scalar.twostep import twostep
 from fluxtwin.calib.spin.batch import (
     Noise,
@@ -73,18 +73,17 @@ def outlying_readings(rows: SpinRows) -> np.ndarray:
 
     Bit errors mislead a blind start, and no attitude is needed to see them.
     """
-    H = np.linalg.norm(rows.H_N_nT, axis=1)
-    scale = float(np.sqrt((H**2).mean()))
-    data = ScalarData(rows.B_nT / scale, H / scale, np.zeros((len(H), 0)), LOOSE_NOISE**2 * np.eye(3), True)
-    p = np.zeros(data.size)
-
-    def refit(weights: FloatArray) -> FloatArray:
-        nonlocal p
-        p = solve(p, data, weights, adjusted=False).p
-        return residual(p, data)[:, None]
-
-    rows_to_keep(residual(p, data)[:, None], refit, "tukey")
+    data, _ = _sizes(rows, LOOSE_NOISE)
+    none = np.zeros(data.size)
+    p, _ = without_outliers(none, data, residual(none, data)[:, None], "tukey")
     return find_outliers(residual(p, data)[:, None])
+
+
+def _sizes(rows: SpinRows, noise: float) -> tuple[ScalarData, float]:
+    """The rows for a fit of |B|, with noise of that part of the field, and the scale [nT]."""
+    size = np.linalg.norm(rows.H_N_nT, axis=1)
+    scale = float(np.sqrt((size**2).mean()))
+    return ScalarData(rows.B_nT / scale, size / scale, np.zeros((len(size), 0)), noise**2 * np.eye(3), True), scale
 
 
 def beyond(residuals_nT: FloatArray) -> np.ndarray:
@@ -196,10 +195,9 @@ def _fit(rows: SpinRows, options: SpinOptions, model_name: str) -> SpinFit:
 
 def scalar_start(rows: SpinRows, options: SpinOptions) -> tuple[FloatArray, FloatArray, ReadingNoise, list[str]]:
     """G (symmetric) and o by TWOSTEP, the noise, and what is to be said."""
-    size = np.linalg.norm(rows.H_N_nT, axis=1)
-    scale = float(np.sqrt((size**2).mean()))
-    relative = _LEAST_NOISE if options.noise_nT is None else max(float(np.max(options.noise_nT)) / scale, 1e-7)
-    data = ScalarData(rows.B_nT / scale, size / scale, np.zeros((len(size), 0)), relative**2 * np.eye(3), True)
+    data, scale = _sizes(rows, _LEAST_NOISE)
+    if options.noise_nT is not None:
+        data = data._replace(Sigma=max(float(np.max(options.noise_nT)) / scale, 1e-7) ** 2 * np.eye(3))
     D, b, sound = _of_size(data)
     r_nT = residual(pack(D, b, data), data) * scale
     noise = scalar_noise(rows.B_nT, rows.time, r_nT, options.noise_nT, options.lsb_nT)
@@ -289,7 +287,9 @@ def _iterative(
     )
     words += _finished(last.field_nis, "innovations")
     motion = free_motion(last, ratio)
-    known = _with_motion(known, motion, rows, sensors, options)
+    # The same values with the covariance that leaves the motion free too: of the batch's equations there.
+    state = State(motion, known.forward.G, known.forward.o_nT)
+    known = _from_forward(state, covariance_of_normal(normal_equations(state, rows, sensors)), rows, options)
     quality = {
         "nis_first": done.first.field_nis,
         "nis_last": last.field_nis,
@@ -297,15 +297,6 @@ def _iterative(
         "rounds": float(len(done.steps_rad) + passes),
     }
     return _Found(known, motion, quality, words, done.steps_rad)
-
-
-def _with_motion(
-    known: Calibration, motion: SpinMotion, rows: SpinRows, sensors: Noise, options: SpinOptions
-) -> Calibration:
-    """The same values with the covariance that leaves the motion free too: of the batch's equations there."""
-    forward = known.forward
-    state = State(motion, forward.G, forward.o_nT)
-    return _from_forward(state, covariance_of_normal(normal_equations(state, rows, sensors)), rows, options)
 
 
 def _regress(

@@ -132,7 +132,9 @@ def read_flight(folder: Path, settings: Settings, model: FieldModel) -> Flight:
     zones = []
     for one in np.unique(number):
         rows = np.flatnonzero(number == one)
-        frame, t = _spin_axes(axis_N[rows]), seconds[rows]
+        t, e3 = seconds[rows], axis_N[rows]
+        e1 = _unit(np.array([0.0, 0.0, 1.0]) - e3 * e3[:, 2:])
+        frame = np.stack([e1, np.cross(e3, e1), e3], axis=1)
         field_S = np.einsum("nij,nj->ni", frame, field_N[rows])
         slips = clock_slips(t, settings.packet_rows)
         used = usable(t, slips, settings)
@@ -168,12 +170,6 @@ def usable(seconds: FloatArray, slips: tuple[Slip, ...], settings: Settings) -> 
         slipped[slip.first : slip.last + 1] = True
     words = {"switching on": int(starting.sum()), "clock slip": int((slipped & ~starting).sum())}
     return ~starting & ~slipped, {reason: count for reason, count in words.items() if count}
-
-
-def _spin_axes(axis_N: FloatArray) -> FloatArray:
-    north = np.array([0.0, 0.0, 1.0])
-    e1 = _unit(north - axis_N * (axis_N @ north)[:, None])
-    return np.stack([e1, np.cross(axis_N, e1), axis_N], axis=1)
 
 
 def _unit(vectors: FloatArray) -> FloatArray:

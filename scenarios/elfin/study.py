@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import platform
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from importlib import metadata
 from pathlib import Path
 
@@ -36,11 +36,6 @@ _NEIGHBOURS = 50
 _LSB_NT = 0.01
 _AGREE_S = 5e-4
 """A slip seen in the spin phase to within that is the one that the stamps show."""
-
-
-def run(out: Path, data: Path | None, progress: Progress = silent) -> StudyResult:
-    """The whole study, as `run_on_files`."""
-    return run_on_files(SETTINGS, out, data, progress, compute, present)
 
 
 def compute(folder: Path, settings: Settings, progress: Progress = silent) -> Numbers:
@@ -175,3 +170,6 @@ def unseen_rows(found: Numbers) -> list[list[Cell]]:
     rows.append(["all", "", *whole_nT, round(noise_nT, 1)])
     rows.append(["of static", "", None, *(way.of_static for way in found.ways), None])
     return rows
+
+
+run = partial(run_on_files, SETTINGS, compute, present)

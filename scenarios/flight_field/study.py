@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -28,7 +28,7 @@ from fluxtwin.scenarios.flights import Mission, Numbers, rms
 from fluxtwin.scenarios.page import StudyResult
 from fluxtwin.scenarios.recorded_files import Settings, run_on_files
 from fluxtwin.scenarios.words import DIFFERS, NOT_TESTABLE, REPRODUCED, Words
-from fluxtwin.sim.base.progress import Progress, silent
+from fluxtwin.sim.base.progress import Progress
 from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
 from fluxtwin.sim.earth import epoch, frames
 from fluxtwin.sim.earth.field import FieldModel, field_NEC_nT, load_field
@@ -145,11 +145,6 @@ def _velocity_E_km_s(residual: Numbers) -> FloatArray:
     track = residual.track
     velocity: FloatArray = np.gradient(track.r_E_km, epoch.seconds_since(track.time, track.time[0]), axis=0)
     return velocity
-
-
-def run(out: Path, data: Path | None, progress: Progress = silent) -> StudyResult:
-    """The whole study, as `run_on_files`."""
-    return run_on_files(SETTINGS, out, data, progress, compute, present)
 
 
 def read_figures() -> list[Numbers]:
@@ -337,3 +332,6 @@ def _track(residual: Numbers, rows: BoolArray | slice = slice(None)) -> Residual
     track = residual.track
     place = (track.time[rows], track.latitude_deg[rows], track.longitude_deg[rows])
     return ResidualTrack(residual.model, *place, residual.NEC_nT[rows], residual.F_nT[rows])
+
+
+run = partial(run_on_files, SETTINGS, compute, present)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +27,7 @@ from fluxtwin.scenarios.flights import Numbers, latitude_deg, rms, rms_along
 from fluxtwin.scenarios.page import StudyResult
 from fluxtwin.scenarios.recorded_files import Settings, run_on_files
 from fluxtwin.scenarios.words import Words
-from fluxtwin.sim.base.progress import Progress, part_of, silent
+from fluxtwin.sim.base.progress import Progress, part_of
 from fluxtwin.sim.base.toml_input import Strict, read_model
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.earth.field_models import FieldModel
@@ -374,11 +374,6 @@ SETTINGS = Path(__file__).parent / "flight_gaps.toml"
 _AURORA_DEG = 60.0
 
 
-def run(out: Path, data: Path | None, progress: Progress = silent) -> StudyResult:
-    """The whole study, as `run_on_files`."""
-    return run_on_files(SETTINGS, out, data, progress, compute, present)
-
-
 def present(outcome: Numbers, settings: Settings) -> StudyResult:
     """What the study says of its outcome."""
     provenance = {
@@ -411,3 +406,6 @@ def fits_of(tables: Mapping[str, Numbers]) -> list[dict[str, object]]:
         rows.append({"table": name, "effects": ("b and S",), "left_nT": table.base_nT, "sizes": ()})
         rows += [{"table": "", **vars(share)} for share in table.shares.values()]
     return rows
+
+
+run = partial(run_on_files, SETTINGS, compute, present)

@@ -50,12 +50,8 @@ def kernel(*, uses: Iterable[ModuleType] = (), **options: Any) -> Callable[[Call
 
 def part(**options: Any) -> Callable[[Callable[P, R]], Callable[P, R]]:
     """`numba.njit(**options)` for a function that other kernels call: it is kept in their caches, and has none."""
-
-    def decorate(function: Callable[P, R]) -> Callable[P, R]:
-        compiled: Callable[P, R] = numba.njit(**options)(function)
-        return compiled
-
-    return decorate
+    compiled: Callable[[Callable[P, R]], Callable[P, R]] = numba.njit(**options)
+    return compiled
 
 
 class _Place(_CacheLocator):

@@ -9,9 +9,11 @@ from typing import Any
 from fluxtwin.notebook import usual
 from fluxtwin.scenarios.packaged import as_scenario
 from fluxtwin.scenarios.page import Table
+from fluxtwin.sim.base.progress import Progress
 from fluxtwin.sim.run.ensemble.run import Ensemble, fly_ensemble
 from fluxtwin.sim.run.simulate import simulate as fly
 from fluxtwin.sim.run.truth import Truth
+from fluxtwin.sim.run.world import World
 from fluxtwin.sim.scenario.scenario import Scenario
 from fluxtwin.sim.telemetry.record import Telemetry
 
@@ -19,10 +21,17 @@ _ROUNDING = 1e-12  # in units of any quantity: below it nothing was simulated
 _SHOWN = ("mean", "std", "p5", "p50", "p95", "p99", "max", "vehicle_of_max")
 
 
-@wraps(fly)
-def simulate(scenario: Scenario | Path | str, **options: Any) -> tuple[Telemetry, Truth]:
-    """As `fluxtwin.sim.run.simulate.simulate`."""
-    return fly(as_scenario(scenario), **{"progress": usual, **options})
+def simulate(
+    scenario: Scenario | Path | str, *, world: World | None = None, progress: Progress = usual
+) -> tuple[Telemetry, Truth]:
+    """Run the scenario, its file or the packaged one of that name, once.
+
+    world: the world of this scenario if it was built before (it does not depend on the seed); a caller that
+    runs many seeds builds it once. Returns the telemetry and, apart from it, the truth; the sun pulses of
+    [slit_sun_sensor] are rows of the telemetry alone.
+    Raises BadInput for a scenario that cannot be run and OutOfRange for epochs outside the field model.
+    """
+    return fly(as_scenario(scenario), world=world, progress=progress)
 
 
 @wraps(fly_ensemble)

@@ -70,6 +70,8 @@ def diagnose(
     """
     progress("baseline", 0.0)
     moving, stuck = input_warnings.without_stuck(telemetry)
+    coupled = "torquer_coupling" in modelled or (instrument is not None and instrument.T_nT_per_Am2 is not None)
+    moving, unknown = input_warnings.without_unknown_dipole(moving) if coupled else (moving, 0)
     whole, new = new_rounding(moving)
     every = max(1, int(np.ceil(len(whole) / MOST_ROWS)))
     record = _each(whole, every)
@@ -89,6 +91,7 @@ def diagnose(
         work = replace(work, angle=sun_nadir.weighed(work.standing, channel, gone, unexplained=work.known < 0.5))
     left_out = [words.stuck(telemetry.time, stuck)] if stuck.any() else []
     work = replace(work, stuck=left_out[0] if left_out else None)
+    left_out += [words.unknown_dipole(unknown)] if unknown else []
     answer, problem = work.answer, work.problem
     facts = {**(provenance or {}), "field_model": model.title, "noise": answer.noise.words}
     facts |= {"rows_thinned_by": every, "rounding_lasts_rows": new}

@@ -60,6 +60,19 @@ def without_stuck(telemetry: Telemetry) -> tuple[Telemetry, BoolArray]:
     return telemetry.replace(mag_B_nT=np.where(rows[:, None], np.nan, telemetry.mag_B_nT)), rows
 
 
+def without_unknown_dipole(telemetry: Telemetry) -> tuple[Telemetry, int]:
+    """The record without the readings of rows whose torquer dipole is missing, and how many these are; where that is missing
+    throughout, the record without a dipole."""
+    dipole = telemetry.dipole_B_Am2
+    if dipole is None:
+        return telemetry, 0
+    known = np.isfinite(dipole).all(axis=1)
+    if not known.any():
+        return telemetry.replace(dipole_B_Am2=None), 0
+    mag_B_nT = np.where(known[:, None], telemetry.mag_B_nT, np.nan)
+    return telemetry.replace(mag_B_nT=mag_B_nT), int((telemetry.has_reading & ~known).sum())
+
+
 def traps(telemetry: Telemetry, model: FieldModel) -> list[Finding]:
     """The traps that `fluxtwin check` finds, but outliers and what is stuck at times: the diagnosis sets them aside and says
     so itself."""

@@ -268,6 +268,11 @@ def stuck(time: TimeArray, rows: BoolArray) -> str:
     return f"{where.size} rows have a stuck reading or a fill value, from {first} to {last}, and were excluded"
 
 
+def unknown_dipole(rows: int) -> str:
+    """How many rows were left out for want of a torquer dipole."""
+    return f"rows with a reading but no torquer dipole, which were excluded: {rows}"
+
+
 def assumed(values: Mapping[str, Mapping[str, Any]]) -> str:
     """What was not declared, what was taken in its place, and the flags that would settle it; empty where all was
     declared. The time constant of the attitude error is always left to the data."""

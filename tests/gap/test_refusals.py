@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from worlds import small_record
 
+import fluxtwin
 from fluxtwin.calib.common.onboard import undone
 from fluxtwin.calib.common.records import Onboard
 from fluxtwin.calib.common.residuals import residual_statistics
@@ -64,3 +65,15 @@ def test_readings_corrected_twice_and_residuals_of_nothing() -> None:
         undone(corrected, Onboard("x.param", np.eye(3), np.zeros(3)))
     with pytest.raises(NoAnswer, match="there is no residual"):
         residual_statistics(RECORD.time, NOTHING)
+
+
+@pytest.mark.parametrize("share", [0.01, 1.0])
+def test_rows_without_a_dipole_are_left_out_where_its_field_is_estimated(share: float) -> None:
+    record, _ = fluxtwin.simulate("cubesat")
+    dipole = np.array(record.dipole_B_Am2)[:600]
+    dipole[: int(share * 600), 1] = np.nan
+    few = record.select(slice(0, 600)).replace(dipole_B_Am2=dipole)
+    modelled = ("bias", "scale_misalignment", "torquer_coupling")
+    found = diagnose(few, load_field("igrf14"), modelled=modelled)
+    said = "rows with a reading but no torquer dipole, which were excluded: 6"
+    assert (said in found.notes) is (share < 1.0)

@@ -129,33 +129,38 @@ def calibrate_by(
     progress: Progress = silent,
     **given: Any,
 ) -> Fit:
-    """Calibrate by the method of that name, None for `default_method`, with the verdict on the answer.
+    """Calibrate by the method of that name, None for `default_method`, with the verdict on the answer. Rows in which an axis
+    is stuck are left out, and the verdict says so.
 
     `all` compares the methods by their errors on rows that they have not seen, and takes one (`comparison`).
 
     given: options of the method, by the fields of its options; one that is None is as if not given.
     Raises BadInput for an unknown method, and for an option that the method does not take.
     """
+    from fluxtwin.calib.checks.copies import stuck_words, without_stuck
     from fluxtwin.calib.common.coverage import coverage_of
     from fluxtwin.calib.common.design import joined, reference_field_B_nT
     from fluxtwin.calib.common.orbit_error import with_orbit_error
     from fluxtwin.calib.common.verdict import assess
 
     require(method, given)
-    telemetry = joined(records)
+    whole = joined(records)
+    telemetry, stuck = without_stuck(whole)
     if method == ALL:
         from fluxtwin.calib.common.comparison import compare
 
         wanted = {name: value for name, value in given.items() if value is not None}
         compared = compare(telemetry, model, ESTIMATORS, wanted, part_of(progress, 0.0, 0.8))
         taken = {name: value for name, value in wanted.items() if name in ESTIMATORS[compared.chosen].takes}
-        fit = calibrate_by(telemetry, model, compared.chosen, progress=part_of(progress, 0.8, 1.0), **taken)
+        fit = calibrate_by(whole, model, compared.chosen, progress=part_of(progress, 0.8, 1.0), **taken)
         return replace(fit, comparison=compared)
     estimator = ESTIMATORS[default_method(telemetry) if method is None else method]
     taken = _taken(estimator, given)
     fit = estimator.fit(telemetry, model, taken, progress)
     fit = with_orbit_error(fit, telemetry, lambda moved: estimator.fit(moved, model, taken, sigmas=False))
     fit = _named(fit, telemetry)
+    if stuck.any():
+        fit = replace(fit, warnings=(*fit.warnings, f"{stuck_words(telemetry.time, stuck)}."))
     sigma_deg, reference = given.get("attitude_sigma_deg"), "attitude" in estimator.needs
     of_size = fit.residuals_nT.shape[1] == 1
     verdict = assess(

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from fluxtwin.calib.checks.copies import stuck_words, without_stuck
 from fluxtwin.gap.channels import sun_nadir
 from fluxtwin.gap.channels.momentum_arcs import Craft
 from fluxtwin.gap.channels.two_magnetometers import apart
@@ -69,7 +70,7 @@ def diagnose(
     Raises BadInput for unknown names and absent columns, NoAnswer when there are too few rows for the question.
     """
     progress("baseline", 0.0)
-    moving, stuck = input_warnings.without_stuck(telemetry)
+    moving, stuck = without_stuck(telemetry)
     coupled = "torquer_coupling" in modelled or (instrument is not None and instrument.T_nT_per_Am2 is not None)
     moving, unknown = input_warnings.without_unknown_dipole(moving) if coupled else (moving, 0)
     whole, new = new_rounding(moving)
@@ -89,7 +90,7 @@ def diagnose(
     if channel is not None:
         gone = [name for name, why in problem.ruled_out.items() if why == sun_nadir.NOT_THERE]
         work = replace(work, angle=sun_nadir.weighed(work.standing, channel, gone, unexplained=work.known < 0.5))
-    left_out = [words.stuck(telemetry.time, stuck)] if stuck.any() else []
+    left_out = [stuck_words(telemetry.time, stuck)] if stuck.any() else []
     work = replace(work, stuck=left_out[0] if left_out else None)
     left_out += [words.unknown_dipole(unknown)] if unknown else []
     answer, problem = work.answer, work.problem

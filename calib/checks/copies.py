@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from fluxtwin.calib.checks.report import Finding, trap
-from fluxtwin.calib.checks.stuck import runs
+from fluxtwin.calib.checks.stuck import check_stuck, runs
 from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.telemetry.record import Telemetry
@@ -24,6 +24,25 @@ SHORTEST_COPY = 20
 """Rows: noise of one step on three axes repeats one row in a hundred by chance, and never twenty in turn."""
 _MOST_COPIED = 0.5
 """Of the rows: of a spinner with coarse steps nearly all readings occur again a turn later."""
+
+
+def without_stuck(telemetry: Telemetry) -> tuple[Telemetry, BoolArray]:
+    """The record without the readings of rows in which some or all axes are stuck, and which rows (N,) these are: no effect
+    but a range that is too small repeats a reading to the last digit, so they would be taken for another one; and that never
+    on all axes at once. Where all are stuck, the record as it is."""
+    repeated = np.all(np.diff(telemetry.mag_B_nT, axis=0) == 0.0, axis=1)
+    held = np.append(repeated, False) | np.append(False, repeated)
+    rows = check_stuck(telemetry)[1] & (held | ~check_clipped(telemetry)[1])
+    if not rows.any() or rows[telemetry.has_reading].all():
+        return telemetry, np.zeros(len(telemetry), dtype=bool)
+    return telemetry.replace(mag_B_nT=np.where(rows[:, None], np.nan, telemetry.mag_B_nT)), rows
+
+
+def stuck_words(time: TimeArray, rows: BoolArray) -> str:
+    """How many rows (N,) have a reading that repeats to the last digit, or a fill value, and were left out, and when."""
+    where = np.flatnonzero(rows)
+    first, last = (epoch.iso(time[row]) for row in (where[0], where[-1]))
+    return f"{where.size} rows have a stuck reading or a fill value, from {first} to {last}, and were excluded"
 
 
 def check_clipped(telemetry: Telemetry) -> tuple[list[Finding], BoolArray]:

@@ -190,7 +190,10 @@ def assess(
     coupling = _coupling(fit, D) if impossible or along.too_much else ""
     return Verdict(
         level="bad" if impossible else "usable" if limits else "good",
-        reasons=(*([coupling] if coupling else []), *([*impossible, *of_orbit] if impossible else limits)),
+        reasons=(
+            *([coupling] if coupling else []),
+            *([*fit.warnings, *impossible, *of_orbit] if impossible else limits),
+        ),
         residual=_residual_words(fit, along, residual_nT, impossible=bool(impossible))
         + (say("verdict.aside", count=fit.rejected, rows=_rows(fit)) if fit.rejected else ""),
         residual_nT=residual_nT,

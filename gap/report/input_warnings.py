@@ -7,11 +7,9 @@ from collections.abc import Collection, Sequence
 import numpy as np
 
 from fluxtwin.calib.checks.check import check_telemetry
-from fluxtwin.calib.checks.copies import check_clipped
+from fluxtwin.calib.checks.copies import without_stuck
 from fluxtwin.calib.checks.report import Finding
-from fluxtwin.calib.checks.stuck import check_stuck
 from fluxtwin.gap.noise.choice import NOISE_LOG_SD, NoiseModel
-from fluxtwin.sim.base.types import BoolArray
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.earth.field import FieldModel
 from fluxtwin.sim.effects.response import Saturation
@@ -46,18 +44,6 @@ def noise_below(noise: NoiseModel, declared_nT: float | None) -> str | None:
         f"{declared_nT:.3g} nT were declared, which is trusted to {100 * NOISE_LOG_SD:.0f} %: too much noise hides smaller "
         "effects. Correct --noise-nT, or leave it out"
     )
-
-
-def without_stuck(telemetry: Telemetry) -> tuple[Telemetry, BoolArray]:
-    """The record without the readings of rows in which some or all axes are stuck, and which rows (N,) these are: no effect
-    but a range that is too small repeats a reading to the last digit, so they would be taken for another one; and that never
-    on all axes at once. Where all are stuck, the record as it is."""
-    repeated = np.all(np.diff(telemetry.mag_B_nT, axis=0) == 0.0, axis=1)
-    held = np.append(repeated, False) | np.append(False, repeated)
-    rows = check_stuck(telemetry)[1] & (held | ~check_clipped(telemetry)[1])
-    if not rows.any() or rows[telemetry.has_reading].all():
-        return telemetry, np.zeros(len(telemetry), dtype=bool)
-    return telemetry.replace(mag_B_nT=np.where(rows[:, None], np.nan, telemetry.mag_B_nT)), rows
 
 
 def without_unknown_dipole(telemetry: Telemetry) -> tuple[Telemetry, int]:

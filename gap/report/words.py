@@ -261,13 +261,6 @@ def outliers(time: TimeArray, cut: BoolArray) -> str:
     return f"{rows.size} rows have outliers{together} of more than six sigma, from {first} to {last}, and were excluded"
 
 
-def stuck(time: TimeArray, rows: BoolArray) -> str:
-    """How many rows (N,) have a reading that repeats to the last digit, or a fill value, and were left out, and when."""
-    where = np.flatnonzero(rows)
-    first, last = (epoch.iso(time[row]) for row in (where[0], where[-1]))
-    return f"{where.size} rows have a stuck reading or a fill value, from {first} to {last}, and were excluded"
-
-
 def unknown_dipole(rows: int) -> str:
     """How many rows were left out for want of a torquer dipole."""
     return f"rows with a reading but no torquer dipole, which were excluded: {rows}"

@@ -10,11 +10,13 @@ from typing import Any, ClassVar
 
 import numpy as np
 import pytest
+from worlds import tumbling
 
 import fluxtwin
 from fluxtwin.calib import methods
 from fluxtwin.calib.common import options as of
 from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.scenario.scenario import parse_scenario
 from fluxtwin.verbs import Reading
 
 
@@ -74,3 +76,15 @@ def test_the_temperatures_are_of_the_rows_that_were_used() -> None:
     assert methods._temperature(record, np.array([1, 2, 3, 4])) == (18.0, 25.5)
     assert methods._temperature(record, np.array([1])) == (21.0, 21.0)
     assert methods._temperature(record, np.array([2])) is None
+
+
+@pytest.mark.parametrize("method", ["linear", "scalar", "all"])
+def test_rows_with_a_stuck_axis_are_left_out_and_the_verdict_says_so(method: str) -> None:
+    record, _ = fluxtwin.simulate(parse_scenario(tumbling()))
+    mag_B_nT = np.array(record.mag_B_nT)
+    mag_B_nT[:150, 1] = mag_B_nT[0, 1]
+    fit = fluxtwin.calibrate(record.replace(mag_B_nT=mag_B_nT), method=method)
+    sound = fluxtwin.calibrate(record.select(slice(150, None)), method=fit.method)
+    assert fit.rows.min() >= 150 and fit.calibration.values == pytest.approx(sound.calibration.values, rel=1e-6)
+    assert fit.verdict is not None and fit.verdict.level == "usable"
+    assert any(reason.startswith("150 rows have a stuck reading") for reason in fit.verdict.reasons)

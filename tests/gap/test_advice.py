@@ -7,10 +7,11 @@ import dataclasses
 import numpy as np
 import pytest
 
+from fluxtwin.calib.checks.copies import without_stuck
 from fluxtwin.calib.checks.report import trap
 from fluxtwin.gap.noise.choice import NoiseModel
 from fluxtwin.gap.records.diagnosis import Detectable
-from fluxtwin.gap.report.input_warnings import noise_below, stuck_and_misfit, stuck_attitude, unnamed, without_stuck
+from fluxtwin.gap.report.input_warnings import noise_below, stuck_and_misfit, stuck_attitude, unnamed
 from fluxtwin.gap.report.words import hours_of, would_settle
 from fluxtwin.sim.effects.base import SignalEffect
 from fluxtwin.sim.effects.switched_field import HeaterSwitching

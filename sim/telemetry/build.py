@@ -55,7 +55,7 @@ def record(table: FileTable, *, tle: Path | str | None = None, attitude: Path | 
         notices.append("positions were turned from Earth-fixed to GCRS")
         origin = replace(origin, position="ITRS")
     if tle is not None and "r_N_km" in fields:
-        notices.append(f"the file has positions, so the elements in {Path(tle).name} were not used")
+        notices.append(companions.not_used(tle, "the file has positions, so the elements in {} were not used"))
     elif tle is not None:
         fields["r_N_km"], fields["v_N_km_s"], said, stated, elements = companions.positions(tle, time)
         notices.extend(said)
@@ -65,7 +65,7 @@ def record(table: FileTable, *, tle: Path | str | None = None, attitude: Path | 
         fields["q_NB"] = _from_angles(fields, time, notices, table.where)
         origin = replace(origin, attitude="orbital")
     if attitude is not None and "q_NB" in fields:
-        notices.append(f"the file has an attitude, so that in {Path(attitude).name} was not used")
+        notices.append(companions.not_used(attitude, "the file has an attitude, so that in {} was not used"))
     elif attitude is not None:
         fields["q_NB"], said = companions.attitude(attitude, time, fields.get("r_N_km"), fields.get("v_N_km_s"))
         notices.extend(said)

@@ -249,7 +249,7 @@ def _orbit(
         _put(columns, "velocity", v)
         notices.extend(said)
     elif tle is not None:
-        notices.append(f"the files have positions, so the elements in {Path(tle).name} were not used")
+        notices.append(companions.not_used(tle, "the files have positions, so the elements in {} were not used"))
     position, velocity = (
         np.stack([columns[c] for c in quantity.plain], axis=1) if quantity.plain[0] in columns else None
         for quantity in (POSITION, VELOCITY)

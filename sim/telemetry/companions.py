@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.types import FloatArray, TimeArray
 from fluxtwin.sim.telemetry.formats import ccsds
 
@@ -54,6 +55,13 @@ def positions(path: Path | str, time: TimeArray) -> Positions:
     sizes_km = np.array([along_track_sigma_km(days) for days in np.unique(elements.age_days(time).round(2))])
     stated = {ALONG_TRACK_KM: f"{np.sqrt(np.mean(sizes_km**2)):.3g}"}
     return Positions(*elements.propagate(time), [said, *elements.notices(time)], stated, elements)
+
+
+def not_used(path: Path | str, said: str) -> str:
+    """The notice `said`, with {} for its name, of a file that is not needed. Raises BadInput where there is none."""
+    if not Path(path).exists():
+        raise BadInput("there is no such file", where=str(path))
+    return said.format(Path(path).name)
 
 
 def attitude(

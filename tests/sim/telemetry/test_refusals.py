@@ -260,3 +260,19 @@ def test_files_of_42_with_words(tmp_path: Path) -> None:
 def test_a_frame_says_what_its_lists_hold() -> None:
     held = frame.of_pandas(pd.DataFrame({"time": STAMPS, "mag": [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]}))
     assert held.columns["mag"].shape == (2, 3)
+
+
+def test_elements_and_attitudes_that_are_not_there_are_refused_where_they_are_not_needed(tmp_path: Path) -> None:
+    path = fluxtwin.write(small_record(20), tmp_path / "t.nc")
+    there = fluxtwin.write(small_record(20), tmp_path / "o.oem")
+    assert "elements in o.oem were not used" in fluxtwin.read(path, tle=there).provenance["notices"]
+    for name in ("tle", "attitude"):
+        for verb in (fluxtwin.read, fluxtwin.check):
+            with pytest.raises(BadInput, match=r"none\.txt: there is no such file"):
+                verb(path, **{name: tmp_path / "none.txt"})
+    columns = 'position = { from = ["r_x_km", "r_y_km", "r_z_km"], unit = "km", frame = "GCRS" }'
+    mag = 'mag = { from = ["mag_x_nT", "mag_y_nT", "mag_z_nT"], unit = "nT" }\n'
+    table = fluxtwin.write(small_record(20), tmp_path / "t.csv")
+    (tmp_path / "m.toml").write_text(entry(mag + columns, '{ recipe = "iso", columns = "time" }'), encoding="utf-8")
+    with pytest.raises(BadInput, match=r"none\.txt: there is no such file"):
+        fluxtwin.read(table, column_map=tmp_path / "m.toml", tle=tmp_path / "none.txt")

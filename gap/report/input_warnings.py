@@ -10,6 +10,7 @@ from fluxtwin.calib.checks.check import check_telemetry
 from fluxtwin.calib.checks.copies import without_stuck
 from fluxtwin.calib.checks.report import Finding
 from fluxtwin.gap.noise.choice import NOISE_LOG_SD, NoiseModel
+from fluxtwin.sim.base.types import BoolArray
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.earth.field import FieldModel
 from fluxtwin.sim.effects.response import Saturation
@@ -52,7 +53,7 @@ def without_unknown_dipole(telemetry: Telemetry) -> tuple[Telemetry, int]:
     dipole = telemetry.dipole_B_Am2
     if dipole is None:
         return telemetry, 0
-    known = np.isfinite(dipole).all(axis=1)
+    known: BoolArray = np.asarray(np.isfinite(dipole).all(axis=1))
     if not known.any():
         return telemetry.replace(dipole_B_Am2=None), 0
     mag_B_nT = np.where(known[:, None], telemetry.mag_B_nT, np.nan)

@@ -15,6 +15,7 @@ import numpy as np
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.telemetry.column_map_draft_header import Header
+from fluxtwin.sim.telemetry.time_stamps import unix_of_size
 
 _LIKELY = re.compile(
     r"time|date|utc|tai|stamp|epoch|unix|zeit|^t($|\W|_)|^ts|sec|week|tow|sow|clock|sclk|obt|t_?tag|(^|_)(met|jd|sod|et)(_|$)",
@@ -108,13 +109,13 @@ def _unix(numbers: Mapping[str, FloatArray]) -> _Found | None:
     """Unix time by its size: in a column with a likely name, or in any other that runs on."""
     for name in sorted(numbers, key=lambda one: not _LIKELY.search(one)):
         size = float(np.nanmedian(numbers[name])) if _LIKELY.search(name) or _runs(numbers[name]) else 0.0
-        for how, unit in (("unix_ns", 1e9), ("unix_us", 1e6), ("unix_ms", 1e3), ("unix_s", 1.0)):
-            if 2.0e8 * unit < size < 4.0e9 * unit and not re.search("tai|2000", name, re.IGNORECASE):
-                nano = [n for n in numbers if n != name and re.search(r"ns$|nano|nsec", n, re.IGNORECASE)]
-                doubt = f"{name} looks like Unix time; that it is UTC, and the spacecraft's own stamp, is a guess"
-                if how == "unix_s" and nano:
-                    return _recipe("seconds_ns", [name, nano[0]], doubt)
-                return _recipe(how, [name], doubt)
+        how = unix_of_size(size)
+        if how is not None and not re.search("tai|2000", name, re.IGNORECASE):
+            nano = [n for n in numbers if n != name and re.search(r"ns$|nano|nsec", n, re.IGNORECASE)]
+            doubt = f"{name} looks like Unix time; that it is UTC, and the spacecraft's own stamp, is a guess"
+            if how == "unix_s" and nano:
+                return _recipe("seconds_ns", [name, nano[0]], doubt)
+            return _recipe(how, [name], doubt)
     return None
 
 

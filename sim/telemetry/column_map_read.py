@@ -180,9 +180,11 @@ class _Reader:
         raw = self.numbers(recipe.names)
         raw[np.isin(raw[:, 0], recipe.invalid), 0] = np.nan
         stamps, counted = time_stamps.stamps_of_counts(raw, recipe), np.isfinite(raw).all(axis=1)
-        if counted.any() and np.isnat(stamps[counted]).all():
-            wanted = "the recipe that the stamps were made with (docs/telemetry.md)"
-            raise BadInput(time_stamps.beyond(raw[counted][0], recipe), where=self.where, wanted=wanted)
+        if counted.any():
+            words = time_stamps.beyond if np.isnat(stamps[counted]).all() else time_stamps.in_1970
+            if (said := words(raw[counted][0], recipe)) is not None:
+                wanted = "the recipe that the stamps were made with (docs/telemetry.md)"
+                raise BadInput(said, where=self.where, wanted=wanted)
         return time_stamps.utc_of_local(stamps, recipe.zone, self.where)
 
 

@@ -213,6 +213,23 @@ def beyond(first: FloatArray, recipe: TimeRecipe) -> str:
     return said
 
 
+def unix_of_size(size: float) -> str | None:
+    """The recipe by which a count of that size is Unix time from 1976 to 2096; None where there is none."""
+    units = {name: how.units_s[0] for name, how in COUNTED.items() if name.startswith("unix")}
+    return next((name for name, unit_s in units.items() if 2.0e8 < size * unit_s < 4.0e9), None)
+
+
+def in_1970(first: FloatArray, recipe: TimeRecipe) -> str | None:
+    """Words on the counts (k,) of a row that are of the first weeks of Unix time, and of our days in a coarser unit; None
+    for others, and where the map says from when they count."""
+    plain = recipe.recipe.startswith("unix") and not recipe.unit_s and not recipe.offset_s
+    likely = unix_of_size(float(first[0])) if plain else None
+    if likely in (None, recipe.recipe):
+        return None
+    stamps = [format_iso(_added(_UNIX, first[None], COUNTED[name].units_s))[0] for name in (recipe.recipe, likely)]
+    return f"{recipe.names[0]} is {first[0]:.15g}: as {recipe.recipe} it is {stamps[0]}; as {likely} it is {stamps[1]}"
+
+
 def _added(origin: np.datetime64, parts: FloatArray, units_s: tuple[float, ...]) -> TimeArray:
     """Origin and counts as stamps; whole units and the rest are rounded apart, so that nanoseconds stay exact."""
     good = np.isfinite(parts).all(axis=1) & (np.abs(parts @ np.array(units_s)) < _LARGEST_S)

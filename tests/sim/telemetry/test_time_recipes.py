@@ -105,6 +105,17 @@ def test_stamps_far_beyond_any_mission_are_answered_with_the_recipe_that_fits(tm
         read(tmp_path, 'recipe = "unix_s"', counts, counts)
 
 
+@pytest.mark.parametrize(("stated", "likely", "unit"), [("unix_ms", "unix_s", 1), ("unix_ns", "unix_ms", 1000)])
+def test_stamps_of_1970_are_answered_with_the_recipe_that_fits(
+    tmp_path: Path, stated: str, likely: str, unit: int
+) -> None:
+    now = [str(1_700_000_000 * unit + step) for step in range(3)]
+    with pytest.raises(BadInput, match=f"as {stated} it is 1970-01-.*; as {likely} it is 2023-11-14T22:13:20Z"):
+        read(tmp_path, f'recipe = "{stated}"', now, now)
+    since_boot = read(tmp_path, f'recipe = "{stated}", offset_s = 1.7e9', now, now)
+    assert (since_boot > np.datetime64("2023-11-14")).all(), "the map says from when they count"
+
+
 DAYS = (STAMPS - np.datetime64("1958-01-01")).astype("int64")
 UNITS = {
     "weeks and milliseconds": (

@@ -9,6 +9,7 @@ stamps agree.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -81,7 +82,9 @@ def merged_table(
     where = path.where if isinstance(path, Table) else str(path)
     provenance = {"source": Path(where).name, "sha256": digests, **stated}
     specs = {name: source.entry.columns[name] for source in sources for name in source.values}
-    return FileTable(where, time, columns, notices, provenance, units, origin=_origin(specs, elements))
+    read = [] if isinstance(path, Table) else [file for entry in there for file in matches(path, entry)]
+    origin = replace(_origin(specs, elements), paths=tuple(str(one) for one in (*read, tle) if one is not None))
+    return FileTable(where, time, columns, notices, provenance, units, origin=origin)
 
 
 def _origin(specs: Mapping[str, ColumnSpec], elements: TleSeries | None) -> Origin:

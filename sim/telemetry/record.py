@@ -54,8 +54,8 @@ class Origin:
     """(3, 3) by which the map turned the stored readings."""
     count_nT: float | None = 1.0
     """Reading [nT] for a stored number of 1; None where it is not one factor for all axes."""
-    path: str = field(default="", compare=False)
-    """Of the file that was read, which is not written over; empty where there was none."""
+    paths: tuple[str, ...] = field(default=(), compare=False)
+    """Of the files that were read, which are not written over."""
 
 
 _SHAPES = {quantity.name: quantity.components for quantity in RECORDED}
@@ -348,8 +348,9 @@ def concatenate(records: list[Telemetry]) -> Telemetry:
         names = sorted({name for values, _ in named for name in values})
         columns[family.field] = {n: np.concatenate([of.get(n, absent) for of, absent in named]) for n in names}
     columns["driver_units"] = _same_units(ordered)
-    if all(r.origin == ordered[0].origin for r in ordered):
-        columns["origin"] = ordered[0].origin
+    origin = ordered[0].origin if all(r.origin == ordered[0].origin for r in ordered) else Origin()
+    paths = dict.fromkeys(path for r in ordered for path in r.origin.paths)
+    columns["origin"] = dataclasses.replace(origin, paths=tuple(paths))
     sources = "; ".join(dict.fromkeys(r.provenance.get("source", "") for r in ordered))
     columns["provenance"] = {**ordered[0].provenance, **_same_origin(ordered), "source": sources}
     return Telemetry(**columns)  # type: ignore[arg-type]

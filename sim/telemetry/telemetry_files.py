@@ -88,14 +88,15 @@ def read_telemetry(
     if max_samples is not None and max_samples < 1:
         raise BadInput(f"{max_samples}", where="max_samples", wanted="1 or more")
     chosen = selection(start, end, where)
+    files = [one for one in (given, tle, attitude) if isinstance(one, str | os.PathLike)]
     if column_map is not None:
         from fluxtwin.sim.telemetry.column_map import mapped_table
 
         table, tle = mapped_table(given, column_map, tle=tle, max_samples=max_samples or MAX_SAMPLES), None
     else:
         table = read_table(given, max_samples=max_samples or MAX_SAMPLES, others=chosen.columns)
-    if isinstance(given, Path):
-        table = replace(table, origin=replace(table.origin, path=os.path.realpath(given)))
+    paths = tuple(dict.fromkeys(os.path.realpath(one) for one in (*files, *table.origin.paths)))
+    table = replace(table, origin=replace(table.origin, paths=paths))
     return record(chosen.cut(table), tle=tle, attitude=attitude).with_magnetometer(magnetometer)
 
 
@@ -144,14 +145,15 @@ def write_telemetry(telemetry: Telemetry, path: Path | str) -> Path:
 
     path: ends in .nc, .nc4, .h5, .csv, .csv.gz, .xlsx, .parquet, .aem or .oem; a file that is there is replaced.
 
-    Each magnetometer's readings go into its own columns. Raises BadInput for anything but a record, and for the file that
+    Each magnetometer's readings go into its own columns. Raises BadInput for anything but a record, and for a file that
     the record was read from.
     """
     given: object = telemetry
     if not isinstance(given, Telemetry):
         wanted = "a fluxtwin.Telemetry (`simulate` returns two: the telemetry and the truth)"
         raise BadInput(f"an object of type {kind_of(given)} was given", where="telemetry", wanted=wanted)
-    if telemetry.origin.path == os.path.realpath(path) and os.path.exists(path):
+    there = [one for one in telemetry.origin.paths if os.path.exists(one) and os.path.exists(path)]
+    if any(os.path.samefile(one, path) for one in there):
         raise BadInput("this record was read from it", where=str(path), wanted="another name; inputs are kept")
     telemetry = telemetry.with_magnetometer(1)
     found = None if is_stream(path) else format_of(path)

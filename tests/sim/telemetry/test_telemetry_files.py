@@ -646,3 +646,25 @@ def test_blanks_of_a_sun_sensor_in_shadow_are_not_missing(tmp_path: Path) -> Non
     for extra, said in (("", None), ("\n2026-03-01T00:00:20Z,1,2,3,1,,,", "sun_x ... is missing in 1 of 3 rows")):
         (tmp_path / "t.csv").write_text(head + "\n".join(rows) + extra + "\n", encoding="utf-8")
         assert read_telemetry(tmp_path / "t.csv").provenance.get("notices") == said
+
+
+def test_no_file_that_a_record_was_read_from_is_written_over(tmp_path: Path) -> None:
+    """Neither one of several that were joined, nor what a map names, nor the orbit; through links too."""
+    rows = small_record(40)
+    first, second = write_telemetry(rows[:20], tmp_path / "a.csv"), write_telemetry(rows[20:], tmp_path / "b.nc")
+    orbit = write_telemetry(rows, tmp_path / "o.oem")
+    joined = concatenate([read_telemetry(first), read_telemetry(second, tle=orbit)])
+    columns = '[file.columns]\nmag = { from = ["mag_x_nT", "mag_y_nT", "mag_z_nT"], unit = "nT" }\n'
+    plan = f'tle = "o.oem"\n[[file]]\npath = "a.csv"\ntime = {{ recipe = "iso", columns = "time" }}\n{columns}'
+    (tmp_path / "m.toml").write_text(plan, encoding="utf-8")
+    mapped = read_telemetry(tmp_path, column_map=tmp_path / "m.toml")
+    (tmp_path / "link.nc").symlink_to(second)
+    before = {path: path.read_bytes() for path in (first, second, orbit)}
+    for record, path in ((joined, first), (joined, second), (joined, orbit), (joined, tmp_path / "link.nc")):
+        with pytest.raises(BadInput, match="this record was read from it"):
+            write_telemetry(record, path)
+    for path in (first, orbit):
+        with pytest.raises(BadInput, match="this record was read from it"):
+            write_telemetry(mapped, path)
+    assert before == {path: path.read_bytes() for path in before}
+    write_telemetry(mapped, second)

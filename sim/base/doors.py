@@ -8,7 +8,7 @@ import os
 import re
 import reprlib
 import sys
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from functools import partial, wraps
 from numbers import Integral, Real
 from typing import Any
@@ -64,8 +64,11 @@ def as_verb(package: str, name: str, value: Any, flags: Mapping[str, str], lines
         for one, given in list(bound.arguments.items()):
             if given is None and known[one].default not in (None, inspect.Parameter.empty):
                 del bound.arguments[one]
-            else:
-                _require_kind(one, given, str(known[one].annotation))
+                continue
+            annotation = str(known[one].annotation)
+            if "Sequence[str]" in annotation.split(" | "):
+                given = bound.arguments[one] = _listed(given)
+            _require_kind(one, given, annotation)
         try:
             return value(*bound.args, **bound.kwargs)
         except FluxtwinError as error:
@@ -94,9 +97,16 @@ def _is_of(name: str, given: Any) -> bool:
     return name in [one.__name__ for one in type(given).__mro__]  # the class itself is imported where it is used
 
 
+def _listed(given: Any) -> Any:
+    """A list of what an array or an iterator holds, which may be looked at again; text and what is none, as it is."""
+    try:
+        return given if isinstance(given, str) else list(given)
+    except TypeError:
+        return given
+
+
 def _are_names(given: Any) -> bool:
-    plain = not isinstance(given, list | tuple) or all(isinstance(one, str) for one in given)
-    return isinstance(given, Iterable) and plain
+    return isinstance(given, str) or (isinstance(given, list | tuple) and all(isinstance(one, str) for one in given))
 
 
 def _are_numbers(given: Any) -> bool:

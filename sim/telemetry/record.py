@@ -266,7 +266,9 @@ class Telemetry(Shown):
             return self.between(*ends)
         try:
             return self.select(rows if isinstance(rows, slice) else np.atleast_1d(rows))
-        except (IndexError, TypeError) as error:
+        except BadInput:
+            raise
+        except (IndexError, TypeError, ValueError) as error:
             wanted = "a mask, indices or times as record['2026-03-01':'2026-03-02']; columns are in record.to_pandas()"
             raise BadInput(f"{reprlib.repr(rows)} chooses no rows ({error})", where="record", wanted=wanted) from None
 

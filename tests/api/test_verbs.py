@@ -137,6 +137,7 @@ def test_an_unguarded_script_flies_an_ensemble_in_processes(tmp_path: Path) -> N
         (lambda record, fit: record["mag_x_nT"], "columns are in record.to_pandas()"),
         (lambda record, fit: record[["mag_x_nT"]], "['mag_x_nT'] chooses no rows"),
         (lambda record, fit: record[np.ones(5, dtype=bool)], "size of axis is 1801"),
+        (lambda record, fit: record[[1, [2]]], "[1, [2]] chooses no rows"),
         (lambda record, fit: record[:, 1], "Wanted: a mask, indices or times"),
         (lambda record, fit: record.where(5), "where: 5 is not text"),
         (lambda record, fit: record.between("2027"), "start: '2027' is not a time"),
@@ -148,6 +149,9 @@ def test_an_unguarded_script_flies_an_ensemble_in_processes(tmp_path: Path) -> N
         (lambda record, fit: fluxtwin.calibrate(record, weights=[[1.0], []]), "weights: [[1.0], []] is not an array"),
         (lambda record, fit: fluxtwin.calibrate(record, errors_in_variables="yes"), "'yes' is not True or False"),
         (lambda record, fit: fluxtwin.calibrate(record, driver=[5]), "driver: [5] is not a list of names"),
+        (lambda record, fit: fluxtwin.calibrate(record, driver=np.ones(9)), "driver: [np.float64(1.0), "),
+        (lambda record, fit: fluxtwin.calibrate(record, driver=np.array(1.0)), "Wanted: a list of names"),
+        (lambda record, fit: fluxtwin.diagnose(record, modelled=np.ones(3)), "is not a list of names"),
         (lambda record, fit: fluxtwin.calibrate(record, field=3), "Wanted: text or a FieldModel"),
         (lambda record, fit: fluxtwin.calibrate(record, progress="no"), "progress: 'no' is not a function"),
         (lambda record, fit: fluxtwin.read("t.nc", where=5), "where: 5 is not text"),
@@ -174,6 +178,14 @@ def test_none_is_the_default_and_numbers_of_numpy_are_numbers(known: tuple[fluxt
     given = {"degree": np.int32(13), "errors_in_variables": np.bool_(True), "attitude_tau_s": np.float32(0.0)}
     again = fluxtwin.calibrate(record, field=None, robust=None, progress=None, magnetometer=None, **given)
     assert fluxtwin.calibrate(record, errors_in_variables=True, attitude_tau_s=0.0) == again
+
+
+def test_names_may_come_as_an_array_or_an_iterator(known: tuple[fluxtwin.Telemetry, Any]) -> None:
+    switches = {name: (np.arange(len(known[0])) // length % 2).astype(float) for name, length in (("a", 40), ("b", 70))}
+    record = known[0].replace(drivers=switches)
+    for given in (np.array(["a", "b"]), iter(["a", "b"])):
+        fit = fluxtwin.calibrate(record[:600], driver=given, method="recursive")
+        assert list(fit.calibration.telemetry_bias) == ["driver_a", "driver_b"]
 
 
 @pytest.mark.parametrize("verb", ["calibrate", "diagnose", "attitude", "plan", "trend"])

@@ -70,7 +70,7 @@ class Sample:
 
 
 def comparable(telemetry: Telemetry, model: FieldModel, usable: BoolArray, *, with_attitude: bool) -> Sample | None:
-    """The rows among `usable` with reading and position (and attitude); None without any.
+    """The rows among `usable` with reading and position (and attitude); None without any, or where most read zero.
 
     Raises OutOfRange for stamps that the model does not cover.
     """
@@ -82,10 +82,10 @@ def comparable(telemetry: Telemetry, model: FieldModel, usable: BoolArray, *, wi
     rows = np.flatnonzero(good)
     rows = rows[_evenly(rows.size, MAX_ROWS)]
     rows = rows[np.linalg.norm(telemetry.r_N_km[rows], axis=1) > 6300.0]
+    size = np.linalg.norm(telemetry.mag_B_nT[rows], axis=1)
+    rows = rows[size < 3.0 * np.median(size)] if size.any() else rows[:0]  # single bit errors must not decide
     if rows.size == 0:
         return None
-    size = np.linalg.norm(telemetry.mag_B_nT[rows], axis=1)
-    rows = rows[size < 3.0 * np.median(size)]  # single bit errors must not decide
     time, r, v = telemetry.time[rows], np.array(telemetry.r_N_km[rows]), telemetry.v_N_km_s
     sample = Sample(
         rows,

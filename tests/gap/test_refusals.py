@@ -77,3 +77,15 @@ def test_rows_without_a_dipole_are_left_out_where_its_field_is_estimated(share: 
     found = diagnose(few, load_field("igrf14"), modelled=modelled)
     said = "rows with a reading but no torquer dipole, which were excluded: 6"
     assert (said in found.notes) is (share < 1.0)
+
+
+@pytest.mark.parametrize("rows", [1, 2, 3])
+def test_a_few_rows_are_refused_in_words(rows: int) -> None:
+    few = small_record(rows)
+    said = "one row alone has no velocity" if rows == 1 else f"the record is too short: it has {rows} rows"
+    with pytest.raises(NoAnswer, match=said):
+        fluxtwin.diagnose(few)
+    zero = few.replace(mag_B_nT=np.zeros((rows, 3)))
+    with pytest.raises(NoAnswer, match="the magnetometer reads zero throughout"):
+        fluxtwin.diagnose(zero)
+    assert "magnetometer_unit" in [found.code for found in fluxtwin.check(zero).traps]

@@ -10,9 +10,9 @@ import numpy as np
 from fluxtwin.calib.common.onboard import for_record
 from fluxtwin.calib.common.records import CONVENTION, Calibration
 from fluxtwin.sim.base.errors import BadInput
-from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.base.late import varies
 from fluxtwin.sim.earth import epoch
-from fluxtwin.sim.telemetry.record import Telemetry, plain_text
+from fluxtwin.sim.telemetry.record import Telemetry, plain_text, recorded_columns
 
 _DIGEST_SHOWN = 12  # hexadecimal digits: of a million calibrations two agree by chance with a probability of 0.2 %
 _NEAR_DEGC = 1.0  # no magnetometer that is worth calibrating changes within a degree
@@ -154,21 +154,11 @@ def corrected_effects(telemetry: Telemetry) -> tuple[str, ...]:
     """
     match = _STAMP.match(telemetry.corrected_by)
     names = match[3].split("; ") if match and match[3] else []
-    columns = {f"driver_{name}": column for name, column in telemetry.drivers.items()}
-    if telemetry.dipole_B_Am2 is not None:
-        columns["T"] = telemetry.dipole_B_Am2
-    read = np.isfinite(telemetry.mag_B_nT).all(axis=1)
-    if telemetry.r_N_km is not None:
-        read &= np.isfinite(telemetry.r_N_km).all(axis=1)
-
-    def changes(column: FloatArray) -> bool:
-        known = (column if column.ndim == 2 else column[:, None])[read]
-        return len(known) > 0 and bool(
-            (np.ptp(known, axis=0) > 1e-6 * np.maximum(1.0, np.abs(known).max(axis=0))).any()
-        )
-
-    moving = [name for name in names if name in columns and changes(columns[name])]
-    return tuple("torquer_coupling" if name == "T" else name.replace("driver_", "driver.", 1) for name in moving)
+    read = telemetry.has_reading if telemetry.r_N_km is None else telemetry.has_reading & telemetry.has_position
+    columns = {name: np.atleast_2d(column[read].T) for name, column in recorded_columns(telemetry).items()}
+    columns["T"] = columns.pop("dipole_B_Am2", np.zeros((0, 0)))
+    moving = [name for name in names if read.any() and any(map(varies, columns.get(name, ())))]
+    return tuple("torquer_coupling" if name == "T" else f"driver.{name.removeprefix('driver_')}" for name in moving)
 
 
 def known_sigma_nT(telemetry: Telemetry) -> float | None:

@@ -24,9 +24,9 @@ from fluxtwin.gap.noise.choice import Whitener
 from fluxtwin.gap.problem.problem import Problem
 from fluxtwin.gap.selection.criterion import LOG_FURTHER, SHAPE, THRESHOLD, worth
 from fluxtwin.gap.selection.forward import RATIOS
+from fluxtwin.sim.base.late import varies
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import epoch
-from fluxtwin.sim.effects.drivers import varies
 from fluxtwin.sim.effects.law import ANGLES, FIELD, GEOMETRY, Axes, Law, timed
 from fluxtwin.sim.effects.signal import Setting
 from fluxtwin.sim.effects.spacecraft_field import TYPICAL_NT, Driver

@@ -1,4 +1,4 @@
-"""A column that acts late: some time after it was recorded, behind a first-order lag, or both."""
+"""A column that changes, and one that acts late: some time after it was recorded, behind a first-order lag, or both."""
 
 from __future__ import annotations
 
@@ -17,6 +17,11 @@ _ROUNDING_S = 1e-6
 _GAP = 5.0  # usual spacings without a row: nothing is fitted across
 _FORGOTTEN = 0.01
 """Of a lag's memory, that may be of values which nobody knows: the field of a unit is hardly known better than to 1 %."""
+
+
+def varies(column: FloatArray, least: float = 1e-6) -> bool:
+    """Whether a column moves by more than a millionth of its largest value (or of one unit)."""
+    return bool(np.ptp(column) > least * max(1.0, float(np.abs(column).max())))
 
 
 def lateness_tried(seconds: FloatArray) -> list[tuple[float, float]]:

@@ -8,7 +8,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from fluxtwin.sim.base.late import late
+from fluxtwin.sim.base.late import late, varies
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.earth.orbit import kepler_period_s
 from fluxtwin.sim.effects.base import known_column
@@ -115,11 +115,6 @@ def followed(setting: Setting, name: str, delay_s: float | FloatArray, lag_s: fl
     absent or wholly missing."""
     column = setting.column(name)
     return None if column is None or not np.isfinite(column).any() else late(setting.seconds, column, delay_s, lag_s)
-
-
-def varies(column: FloatArray, least: float = 1e-6) -> bool:
-    """Whether a column moves by more than a millionth of its largest value (or of one unit)."""
-    return bool(np.ptp(column) > least * max(1.0, float(np.abs(column).max())))
 
 
 STAND_INS: Mapping[str, tuple[Callable[[Setting], FloatArray], ...]] = {

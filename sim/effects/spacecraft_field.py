@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from fluxtwin.sim.base.late import bridged, lateness_near, lateness_tried
+from fluxtwin.sim.base.late import bridged, lateness_near, lateness_tried, varies
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.effects.base import MATRIX, Parameter, SpacecraftField, held, known_column, mapped, vector_parameters
 from fluxtwin.sim.effects.drivers import (
@@ -18,7 +18,6 @@ from fluxtwin.sim.effects.drivers import (
     lit,
     panels_that_show,
     sun_in_body,
-    varies,
 )
 from fluxtwin.sim.effects.signal import Setting, Signal
 
@@ -198,7 +197,7 @@ class Driver(SpacecraftField):
         "Springmann & Cutler 2012, doi 10.2514/1.56726; Swarm-Echo, Broadfoot et al. 2022, doi 10.5194/gi-11-323-2022)"
     )
     column: str = ""
-    """NAME of the column `driver_NAME`."""
+    """NAME of the column `driver_NAME`, or of another column with one number a row."""
     delay_s: float = 0.0
     lag_s: float = 0.0
     typical_nT_per_unit: float = field(default=20.0, compare=False)
@@ -223,12 +222,18 @@ class Driver(SpacecraftField):
 
     def values(self, setting: Setting, later_s: float | FloatArray = 0.0) -> FloatArray | None:
         """(N,) what the field follows, `later_s` after the stamps; None when nothing tells."""
-        return followed(setting, _PREFIX + self.column, self.delay_s - later_s, self.lag_s)
+        return followed(setting, self._recorded(setting), self.delay_s - later_s, self.lag_s)
 
     def invented(self, setting: Setting) -> BoolArray:
-        column = setting.column(_PREFIX + self.column)
+        column = setting.column(self._recorded(setting))
         none = super().invented(setting)
         return none if column is None else bridged(setting.seconds, column, self.delay_s, self.lag_s)
+
+    def _recorded(self, setting: Setting) -> str:
+        """The column `driver_NAME`; where there is none, the one that is called NAME."""
+        other = setting.column(self.column)
+        own = _PREFIX + self.column in setting.columns or other is None or other.ndim > 1
+        return _PREFIX + self.column if own else self.column
 
     def alternatives(self, setting: Setting) -> tuple[Driver, ...]:
         if self.delay_s or self.lag_s:

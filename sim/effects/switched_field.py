@@ -7,10 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.late import varies
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.effects.base import SpacecraftField, known_column, vector_parameters
-from fluxtwin.sim.effects.drivers import lit, varies
+from fluxtwin.sim.effects.drivers import lit
 from fluxtwin.sim.effects.signal import Setting
 
 FLAG = "flag:"

@@ -8,10 +8,11 @@ from typing import ClassVar, Self
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from fluxtwin.sim.base.late import varies
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.base import Parameter, SignalEffect, in_reading, known_column, vector_parameters
 from fluxtwin.sim.effects.calibration import rescaled
-from fluxtwin.sim.effects.drivers import STANDARD_SWING_K, TIME_CONSTANTS_S, temperature_K, varies
+from fluxtwin.sim.effects.drivers import STANDARD_SWING_K, TIME_CONSTANTS_S, temperature_K
 from fluxtwin.sim.effects.signal import Setting, Signal
 
 

@@ -9,8 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from worlds import tumbling
 
 import fluxtwin
+from fluxtwin.sim.scenario.scenario import parse_scenario
 
 SCENARIO = """
 seed = 11
@@ -189,3 +191,21 @@ def test_what_a_calibration_is_wrong_by_is_no_gap(tmp_path: Path) -> None:
     assert diagnosis.verdict == "no_gap", diagnosis.sentence
     still = corrected.replace(dipole_B_Am2=np.zeros((len(record), 3)), drivers={})
     assert fluxtwin.diagnose(still.select(slice(0, 400))).modelled == ["bias", "scale_misalignment"]
+
+
+def test_other_columns_than_drivers_that_the_calibration_followed_are_estimated_anew() -> None:
+    record, _ = fluxtwin.simulate(parse_scenario(tumbling()))
+    current_A = 2.0 + np.sin(np.arange(len(record)) / 9.0)
+    record = record.replace(
+        array_current_A=current_A, mag_B_nT=record.mag_B_nT + current_A[:, None] * [40.0, -20.0, 9.0]
+    )
+    calibration = fluxtwin.calibrate(record, driver=["array_current_A"]).calibration
+    corrected = fluxtwin.apply(record, calibration)
+    assert corrected.corrected_by.endswith("nT) with array_current_A")
+    diagnosis = fluxtwin.diagnose(corrected)
+    assert diagnosis.modelled == ["bias", "scale_misalignment", "driver.array_current_A"]
+    assert diagnosis.verdict == "no_gap", diagnosis.sentence
+    own = fluxtwin.diagnose(record, modelled=["bias", "scale_misalignment", "driver.array_current_A"])
+    assert own.verdict == "no_gap", own.sentence
+    still = corrected.replace(array_current_A=np.ones(len(record)))
+    assert fluxtwin.diagnose(still).modelled == ["bias", "scale_misalignment"]

@@ -186,7 +186,7 @@ class Calibration(Shown):
             raise BadInput(
                 "this calibration has a T, and no torquer dipole is given",
                 where="dipole_x_Am2 dipole_y_Am2 dipole_z_Am2",
-                wanted="the dipole columns, or a calibration made with --parameters b,S",
+                wanted="the dipole columns, or a calibration of b and S alone",
             )
         # A column of T that is zero must not spread a blank dipole of that axis.
         used = np.flatnonzero(self.T_nT_per_Am2.any(axis=0))

@@ -141,6 +141,9 @@ _KINDS: dict[str, tuple[str, Callable[[Any], bool]]] = {
 }
 """What an argument may be, by its annotation: in words, and whether something is that. What has no row the verb judges."""
 _UNIT = re.compile(r"_(nT|deg|s|h|km)$")
+_FLAG = re.compile(
+    r"--(?P<flag>[a-z][\w-]*)(?: (?:(?P<number>\d+)|(?P<text>[A-Z]{3,}(?:\.[a-z]+)?|b(?:,[ST])*))(?![\w-]))?"
+)
 
 
 def _require_kind(name: str, given: Any, annotation: str) -> None:
@@ -158,13 +161,17 @@ def _require_kind(name: str, given: Any, annotation: str) -> None:
 
 
 def _as_keywords(text: Any, known: Mapping[str, inspect.Parameter], flags: Mapping[str, str]) -> Any:
-    """The text with the keywords in place of the options of the command line that they are, where the verb has them."""
+    """The text with the keywords in place of the options of the command line that they are, where the verb has them; what
+    stands for a value (`FILE.toml`, `b,S`, `2`) is written as Python writes it."""
 
     def keyword(flag: re.Match[str]) -> str:
-        name = flag[1].replace("-", "_")
+        name = flag["flag"].replace("-", "_")
         one = known.get(name) or known.get(flags.get(name, ""))
         if one is None:
             return flag[0]
-        return f"{one.name}=True" if one.annotation == "bool" else one.name
+        if one.annotation == "bool":
+            return f"{one.name}=True"
+        value = flag["number"] or (f'"{flag["text"]}"' if flag["text"] else "")
+        return f"{one.name}={value}" if value else one.name
 
-    return re.sub(r"--([a-z][\w-]*)", keyword, text) if isinstance(text, str) else text
+    return _FLAG.sub(keyword, text) if isinstance(text, str) else text

@@ -179,9 +179,7 @@ class Telemetry(Shown):
             return self
         if number not in (1, 2) or self.mag2_B_nT is None:
             there = "one magnetometer" if self.mag2_B_nT is None else "two magnetometers"
-            wanted = (
-                "mag2_x_nT mag2_y_nT mag2_z_nT, or mag2 in a column map" if number == 2 else "--magnetometer 1 or 2"
-            )
+            wanted = "mag2_x_nT mag2_y_nT mag2_z_nT, or mag2 in a column map" if number == 2 else "magnetometer 1 or 2"
             where = self.provenance.get("source", "telemetry")
             raise BadInput(f"has {there}, number {number} was asked for", where=where, wanted=wanted)
         swapped = {key: self.provenance.get(key, "") for key in _OF_MAGNETOMETER}

@@ -8,6 +8,7 @@ import pickle
 import subprocess
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -214,6 +215,15 @@ def test_a_refusal_names_keywords_not_options(flown: str, tmp_path: Path) -> Non
             "method batch or iterative or recursive, or",
         ),
         (lambda: fluxtwin.apply(fluxtwin.apply(record, mine), mine), "force=True corrects them once more"),
+        (lambda: fluxtwin.yaw(record), 'Wanted: calibration="FILE.toml", or a record that'),
+        (
+            lambda: fluxtwin.apply(record, replace(mine, magnetometer=2)),
+            "Wanted: magnetometer=2, or the other calibration",
+        ),
+        (lambda: fluxtwin.calibrate(record[:5]), 'fewer parameters (parameters="b")'),
+        (lambda: fluxtwin.calibrate(record, parameters="b,S,T"), 'the dipole columns, or parameters="b,S"'),
+        (lambda: fluxtwin.Calibration(np.eye(3), np.ones(3), np.eye(3)).apply(record.mag_B_nT), "b and S"),
+        (lambda: record.with_magnetometer(3), "Wanted: magnetometer 1 or 2"),
         (lambda: fluxtwin.trend(record, every_h=-1.0), "every_h: -1"),
         (lambda: fluxtwin.plan(record, names="biass"), "names: no effect is called"),
         (lambda: fluxtwin.draft_map(tmp_path), str(tmp_path)),

@@ -92,27 +92,27 @@ def diagnose(
     telemetry: Readable,
     *,
     scenario: Scenario | Path | str | None = None,
-    modelled: Sequence[str] = DEFAULT_MODELLED,
+    modelled: Sequence[str] | None = None,
     progress: Progress = usual,
     **options: Unpack[AssumedAndReading],
 ) -> Diagnosis:
     """Where the gap between a record and its simulation lies, which effect causes it, and how much of it that closes.
 
     scenario: gives field model, starting S, b, T, the noise budget and effects that are applied as they are.
-    modelled: names of the effects that are estimated anew in every test; beside the default, of a corrected record, what
-    else its calibration has estimated.
+    modelled: names of the effects that are estimated anew in every test, these and no others; None: bias and
+    scale_misalignment, and, of corrected readings, what else their calibration has estimated.
 
     A number given below overrides the scenario's; what neither gives is found in the data. Raises BadInput and NoAnswer
     with one message each.
     """
     given = dict(options)
     reading, declared = reading_of(given), declared_in(given)
-    modelled = tuple(names_in(modelled))
-    for name in modelled:
+    names = None if modelled is None else tuple(names_in(modelled))
+    for name in names or ():
         find_effect(name, where="--modelled")
     record = as_record(telemetry, **reading)
-    if set(modelled) == set(DEFAULT_MODELLED):
-        modelled += corrected_effects(record)
+    if names is None:
+        names = (*DEFAULT_MODELLED, *corrected_effects(record))
     config = None if scenario is None else as_scenario(scenario)
     if config is not None:
         record = _with_scenario(record, config)
@@ -128,7 +128,7 @@ def diagnose(
         found = investigate_record(
             record,
             model,
-            modelled=modelled,
+            modelled=names,
             budget=budget,
             instrument=None if config is None or record.corrected_by else spacecraft.magnetometer(config),
             frozen=known,

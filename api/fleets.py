@@ -12,10 +12,9 @@ import numpy as np
 
 from fluxtwin.calib.common.digits import measured, plain
 from fluxtwin.diagnosing import Assumed, diagnose, with_assumed
-from fluxtwin.gap.problem.problem import DEFAULT_MODELLED
 from fluxtwin.notebook import usual
 from fluxtwin.scenarios.page import Table
-from fluxtwin.sim.base.errors import BadInput, names_in
+from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.progress import Progress
 from fluxtwin.sim.base.workers import answers, require_workers
 from fluxtwin.sim.telemetry.telemetry_files import Readable
@@ -33,7 +32,7 @@ def fleet(
     vehicles: Mapping[str, Readable],
     *,
     scenario: Scenario | Path | str | None = None,
-    modelled: Sequence[str] = DEFAULT_MODELLED,
+    modelled: Sequence[str] | None = None,
     jobs: int | None = None,
     scheduler: str | None = None,
     executor: Executor | None = None,
@@ -51,7 +50,7 @@ def fleet(
     if len(vehicles) < 3:
         wanted = "three or more: with two, nothing says which one differs"
         raise BadInput(f"{len(vehicles)} vehicles", where="fleet", wanted=wanted)
-    options = {"scenario": scenario, "modelled": tuple(names_in(modelled)), **assumed}
+    options = {"scenario": scenario, "modelled": modelled, **assumed}
     records = {name: as_record(one) for name, one in vehicles.items()}
     for one, other in itertools.combinations(records, 2):  # noise that is counted twice looks like an effect in common
         if np.array_equal(records[one].mag_B_nT, records[other].mag_B_nT, equal_nan=True):

@@ -22,7 +22,6 @@ from fluxtwin.calib.common.digits import plain
 from fluxtwin.calib.common.records import Calibration
 from fluxtwin.diagnosing import AssumedAndReading, budget_of, declared_in, diagnose, with_assumed
 from fluxtwin.gap.diagnose import new_rounding
-from fluxtwin.gap.problem.problem import DEFAULT_MODELLED
 from fluxtwin.gap.watch import FIRST_ROWS, FIRST_S, RUN, Changed, Watch, begin, enough
 from fluxtwin.notebook import usual
 from fluxtwin.sim.base.errors import BadInput, NoAnswer
@@ -84,7 +83,7 @@ def follow(
     telemetry: Readable | Iterable[Readable],
     *,
     calibration: Calibration | Path | str | None = None,
-    modelled: Sequence[str] = DEFAULT_MODELLED,
+    modelled: Sequence[str] | None = None,
     said: Callable[[str], None] = lambda line: None,
     progress: Progress = usual,
     **options: Unpack[AssumedAndReading],

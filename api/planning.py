@@ -189,7 +189,7 @@ def plan(
     limits: LimitsSection | Mapping[str, Any] | Path | str | None = None,
     scenario: Scenario | Path | str | None = None,
     names: Sequence[str] = (),
-    modelled: Sequence[str] = DEFAULT_MODELLED,
+    modelled: Sequence[str] | None = None,
     progress: Progress = usual,
     **options: Unpack[AssumedAndReading],
 ) -> Plan | CalibrationPlan:

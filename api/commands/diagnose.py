@@ -30,7 +30,7 @@ def command(
     scenario: Annotated[
         Path | None, of.option("FILE.toml", "The spacecraft: field model, first calibration, noise, known effects.")
     ] = None,
-    modelled: of.ModelledOption = of.MODELLED,
+    modelled: of.ModelledOption = None,
     assumed: of.Assumed = of.ASSUMED,
     html: of.HtmlOption = None,
     close: Annotated[Path | None, of.option("OUT.toml", "Write a scenario that contains the named effects.")] = None,
@@ -60,9 +60,9 @@ def command(
     status is 1 if --follow ended with an alarm.
     """
     from fluxtwin import outputs
-    from fluxtwin.sim.base.errors import BadInput, names_in
+    from fluxtwin.sim.base.errors import BadInput
 
-    asked: dict[str, Any] = {**assumed._asdict(), "modelled": names_in(modelled)}
+    asked: dict[str, Any] = {**assumed._asdict(), "modelled": modelled}
     given = [path for path in telemetry if not follow or str(path) != "-"]
     targets = {"--html": (html, outputs.PAGE), "--close": (close, outputs.SCENARIO)}
     output.claim(targets, [*given, scenario, calibration, assumed.field, *reading.files])

@@ -72,9 +72,14 @@ VerboseOption: TypeAlias = Annotated[
 
 
 ModelledOption: TypeAlias = Annotated[
-    str, option("NAMES", "Effects to re-estimate in every test, separated by commas; or none.", "--modelled")
+    str | None,
+    option(
+        "NAMES",
+        "Effects to re-estimate in every test, separated by commas; or none. Default: bias,scale_misalignment, and, of "
+        "corrected readings, what else their calibration has estimated.",
+        "--modelled",
+    ),
 ]
-MODELLED = "bias,scale_misalignment"
 
 
 class Reading(NamedTuple):

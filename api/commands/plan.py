@@ -32,7 +32,7 @@ def command(
     scenario: Annotated[
         Path | None, of.option("FILE.toml", "The spacecraft as flown; otherwise it is inferred from the record.")
     ] = None,
-    modelled: of.ModelledOption = of.MODELLED,
+    modelled: of.ModelledOption = None,
     assumed: of.Assumed = of.ASSUMED,
     html: of.HtmlOption = None,
     reading: of.Reading = of.READING,
@@ -57,7 +57,7 @@ def command(
             limits=limits,
             scenario=scenario,
             names=names_in(about),
-            modelled=names_in(modelled),
+            modelled=modelled,
             progress=progress,
             **assumed._asdict(),
         )

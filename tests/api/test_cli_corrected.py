@@ -207,5 +207,7 @@ def test_other_columns_than_drivers_that_the_calibration_followed_are_estimated_
     assert diagnosis.verdict == "no_gap", diagnosis.sentence
     own = fluxtwin.diagnose(record, modelled=["bias", "scale_misalignment", "driver.array_current_A"])
     assert own.verdict == "no_gap", own.sentence
+    exactly = fluxtwin.diagnose(corrected, modelled=("bias", "scale_misalignment"))
+    assert exactly.modelled == ["bias", "scale_misalignment"], "what is asked for by name is all there is"
     still = corrected.replace(array_current_A=np.ones(len(record)))
     assert fluxtwin.diagnose(still).modelled == ["bias", "scale_misalignment"]

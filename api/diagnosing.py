@@ -26,7 +26,7 @@ from fluxtwin.scenarios.packaged import as_scenario
 from fluxtwin.sim.base.errors import BadInput, NoAnswer, names_in
 from fluxtwin.sim.base.progress import Progress
 from fluxtwin.sim.earth import epoch
-from fluxtwin.sim.earth.field_models import load_field
+from fluxtwin.sim.earth.field_models import FieldModel, load_field
 from fluxtwin.sim.effects.catalogue import find_effect
 from fluxtwin.sim.effects.chain import Active
 from fluxtwin.sim.effects.response import Saturation
@@ -37,7 +37,16 @@ from fluxtwin.sim.scenario.effect_sections import active_effects
 from fluxtwin.sim.scenario.scenario import Scenario
 from fluxtwin.sim.telemetry.record import Telemetry
 from fluxtwin.sim.telemetry.telemetry_files import Readable, Reading
-from fluxtwin.verbs import F, as_record, number_in, on_one_blas_thread, reading_of, with_keywords, with_reading
+from fluxtwin.verbs import (
+    F,
+    as_model,
+    as_record,
+    number_in,
+    on_one_blas_thread,
+    reading_of,
+    with_keywords,
+    with_reading,
+)
 
 _MOST = {"noise_nT": 1e6, "lsb_nT": 1e6, "attitude_sigma_deg": 180.0, "attitude_tau_s": 1e9}
 """What may be declared of the errors: up to ten times the Earth's field, half a turn, thirty years; beyond, nothing is said
@@ -55,7 +64,7 @@ class Assumed(TypedDict, total=False):
     lsb_nT: float | None
     attitude_sigma_deg: float | None
     attitude_tau_s: float | None
-    field: str | None
+    field: str | FieldModel | None
     degree: int | None
 
 
@@ -67,7 +76,8 @@ _ASSUMED = """\
 noise_nT, lsb_nT: noise of a reading per axis, 1 sigma, and its step [nT].
 attitude_sigma_deg: error of the reference attitude per axis, 1 sigma [deg].
 attitude_tau_s: its time constant [s]; 0 for white.
-field, degree: the field model (igrf14, igrf1975, chaos:FILE), and the highest degree of it that is used."""
+field: the field model (igrf14, igrf1975, chaos:FILE), or one that `fluxtwin.load_field` returned.
+degree: the highest degree of it that is used."""
 
 
 def with_assumed(verb: F) -> F:
@@ -117,10 +127,10 @@ def diagnose(
     if config is not None:
         record = _with_scenario(record, config)
     _require_something(record)
-    model_name, degree = declared.field or "igrf14", declared.degree
+    field, degree = declared.field or "igrf14", declared.degree
     if config is not None and declared.field is None:
-        model_name, degree = config.field.model, config.field.degree if degree is None else degree
-    model = load_field(model_name, degree)
+        field, degree = config.field.model, config.field.degree if degree is None else degree
+    model = as_model(field, degree)
     known = () if config is None else frozen(config)
     budget = budget_of(config, known, declared)
     traps = input_warnings.traps(record, model)
@@ -158,7 +168,7 @@ def diagnose(
     ]
     facts = dict(found.provenance)
     if found.closure is not None:
-        facts["design"] = base_tree(found.closure, budget.lsb_nT, model_name)
+        facts["design"] = base_tree(found.closure, budget.lsb_nT, model.name)
     return replace(found, notes=[note for note in notes if note], provenance=facts)
 
 

@@ -11,7 +11,7 @@ import tempfile
 import time
 import warnings
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Unpack
 
@@ -29,12 +29,11 @@ from fluxtwin.sim.base.processes import stop_if_asked
 from fluxtwin.sim.base.progress import Progress
 from fluxtwin.sim.base.shown import Shown
 from fluxtwin.sim.earth import epoch
-from fluxtwin.sim.earth.field_models import load_field
 from fluxtwin.sim.telemetry.csv_files import without_comments
 from fluxtwin.sim.telemetry.record import Telemetry, concatenate
 from fluxtwin.sim.telemetry.selection import NoneTaken, selection
 from fluxtwin.sim.telemetry.telemetry_files import Readable, Reading, is_path, read_telemetry
-from fluxtwin.verbs import as_calibration, as_record, on_one_blas_thread, reading_of, with_reading
+from fluxtwin.verbs import as_calibration, as_model, as_record, on_one_blas_thread, reading_of, with_reading
 
 if TYPE_CHECKING:
     from fluxtwin.gap.records.diagnosis import Diagnosis
@@ -115,7 +114,7 @@ def follow(
         rows = _Rows(_later(_until(blocks, end)))
         first, every = rows.to_begin_with()
         watch = begin(
-            first, load_field(declared.field or "igrf14", declared.degree), budget_of(None, (), declared), known
+            first, as_model(declared.field or "igrf14", declared.degree), budget_of(None, (), declared), known
         )
         said(f"watching: {watch.found.words}; {_manner(watch)}")
         hours = _Hours(watch, said)
@@ -131,7 +130,7 @@ def follow(
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # that it is of another time is what is asked
             whole = apply_calibration(whole, known, force=True)
-    found = diagnose(whole, modelled=modelled, progress=progress, **asdict(declared))
+    found = diagnose(whole, modelled=modelled, progress=progress, **vars(declared))
     return Followed(changed, watch.rows, whole.time[-1], name, found, line)
 
 

@@ -34,7 +34,7 @@ from fluxtwin.sim.base.progress import Progress
 from fluxtwin.sim.base.seals import unsealed_json
 from fluxtwin.sim.base.toml_input import read_model, validate
 from fluxtwin.sim.earth import epoch, frames, sun
-from fluxtwin.sim.earth.field_models import FieldModel, load_field
+from fluxtwin.sim.earth.field_models import FieldModel
 from fluxtwin.sim.earth.orbit import kepler_period_s
 from fluxtwin.sim.run import spacecraft
 from fluxtwin.sim.run.simulate import simulate
@@ -43,7 +43,7 @@ from fluxtwin.sim.run.world import ephemeris
 from fluxtwin.sim.scenario.scenario import Scenario
 from fluxtwin.sim.telemetry.record import Telemetry
 from fluxtwin.sim.telemetry.telemetry_files import Readable
-from fluxtwin.verbs import as_record, on_one_blas_thread, reading_of, with_reading
+from fluxtwin.verbs import as_model, as_record, on_one_blas_thread, reading_of, with_reading
 
 HALF = 0.5
 _SHARES = (0.25, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
@@ -217,7 +217,7 @@ def plan(
         if base is None:
             base = base_of(diagnosing.diagnose(record, **assumed).to_dict())
             base = base.updated({_KEYS[name]: value for name, value in declared.items()})
-        model = load_field(field or base.field.model, degree)
+        model = as_model(field or base.field.model, degree)
         return plan_calibration(record, base, allowed, model, declared, notes, progress)
     diagnosis: Diagnosis | None
     if isinstance(telemetry, Diagnosis):
@@ -290,11 +290,11 @@ class View:
         self,
         base: Scenario,
         modelled: Sequence[str] = DEFAULT_MODELLED,
-        field: str | None = None,
+        field: str | FieldModel | None = None,
         degree: int | None = None,
     ) -> None:
         self.modelled = modelled
-        self.model = load_field(field or base.field.model, base.field.degree if degree is None else degree)
+        self.model = as_model(field or base.field.model, base.field.degree if degree is None else degree)
         section, known = base.magnetometer, diagnosing.budget_of(base, (), diagnosing.Declared())
         sigma_rad, tau_s = known.attitude_sigma_rad or 0.0, known.attitude_tau_s or 0.0
         self.budget = replace(known, attitude_sigma_rad=sigma_rad, attitude_tau_s=tau_s)

@@ -55,7 +55,7 @@ class Declared:
     lsb_nT: float | None = None
     attitude_sigma_deg: float | None = None
     attitude_tau_s: float | None = None
-    field: str | None = None
+    field: str | FieldModel | None = None
     degree: int | None = None
 
 
@@ -225,10 +225,14 @@ def _noise(closure: Closure, declared: Declared) -> dict[str, Any]:
         "attitude.reference.sigma_deg": float(np.degrees(noise.theta_rad)) if sigma_deg is None else sigma_deg,
         "attitude.reference.tau_s": float(noise.tau_s) if tau_s is None else tau_s,
     }
-    kind, colon, path = (declared.field or "").partition(":")
-    field = f"{kind}:{Path(path).resolve()}" if colon else declared.field  # a file is found from any folder
+    field, degree = declared.field, declared.degree
+    if isinstance(field, FieldModel):
+        degree = field.degree if degree is None else degree
+        field = field.name
+    kind, colon, path = (field or "").partition(":")
+    field = f"{kind}:{Path(path).resolve()}" if colon else field  # a file is found from any folder
     changes |= dict.fromkeys(("field.model", "field.truth"), field)
-    changes |= dict.fromkeys(("field.degree", "field.truth_degree"), declared.degree)
+    changes |= dict.fromkeys(("field.degree", "field.truth_degree"), degree)
     return {key: value for key, value in changes.items() if value}
 
 

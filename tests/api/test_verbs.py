@@ -16,10 +16,11 @@ import numpy as np
 import pandas as pd
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
-from worlds import scenario_text
+from worlds import scenario_text, tumbling
 
 import fluxtwin
 from fluxtwin.sim.base.doors import as_verb
+from fluxtwin.sim.scenario.scenario import parse_scenario
 
 MAGNETOMETER = "\n[magnetometer]\nb_nT = [1000.0, -500.0, 300.0]\nnoise_nT = 20.0\n"
 
@@ -280,3 +281,12 @@ def test_the_field_at_a_time_of_pandas(zone: str | None) -> None:
 
 def test_help_says_what_a_scenario_may_be() -> None:
     assert str(inspect.signature(fluxtwin.simulate).parameters["scenario"].annotation) == "Scenario | Path | str"
+
+
+def test_a_diagnosis_takes_a_loaded_field_as_the_other_verbs_do() -> None:
+    record, _ = fluxtwin.simulate(parse_scenario(tumbling()))
+    cut = fluxtwin.load_field("igrf14", 11)
+    found, named = (
+        fluxtwin.diagnose(record[:60], field=one, degree=n).gap.before_nT for one, n in ((cut, None), ("igrf14", 11))
+    )
+    assert found == named != fluxtwin.diagnose(record[:60]).gap.before_nT

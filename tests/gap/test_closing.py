@@ -197,6 +197,9 @@ def test_the_scenario_of_a_record_has_the_step_of_its_readings(problem: Problem,
         for declared in (Declared(), Declared(lsb_nT=25.0))
     ]
     close(steps, [40.0, 25.0], atol=1e-6, unit="nT", because="the readings are multiples of it")
+    declared = Declared(field=load_field("igrf14", degree=6))  # one that was loaded has a name and a degree
+    field = closed_scenario(closure, closed, [], None, tmp_path / "x.csv", None, declared).field
+    assert (field.model, field.degree, field.truth, field.truth_degree) == ("igrf14", 6) * 2
 
 
 def test_an_effect_that_the_scenario_has_is_added_to_or_refused(problem: Problem, scenario: Scenario) -> None:

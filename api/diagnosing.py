@@ -134,6 +134,9 @@ def diagnose(
     known = () if config is None else frozen(config)
     budget = budget_of(config, known, declared)
     traps = input_warnings.traps(record, model)
+    # What voids the answer is said while it is looked for; a range that is too small may be the answer.
+    codes = dict.fromkeys(trap.code for trap in traps if trap.code != "saturated")
+    first = f"{words.FIRST} ({', '.join(codes)}): " if codes else ""
     try:
         found = investigate_record(
             record,
@@ -145,7 +148,7 @@ def diagnose(
             craft=_craft(config),
             provenance={"source": record.provenance.get("source", "")},
             law=not traps,
-            progress=progress,
+            progress=lambda step, share: progress(first + step, share),
         )
     except (BadInput, np.linalg.LinAlgError):
         if traps:  # no magnetometer reads like this

@@ -430,7 +430,12 @@ def test_a_wrong_file_is_never_without_a_gap() -> None:
     text = scenario_text(world, seed=3, inertia_kg_m2=inertia, segment="duration_min = 30.0, step_s = 20.0")
     record = simulate(parse_scenario(text))[0]
     for wrong in (-record.mag_B_nT, record.mag_B_nT[:, [1, 0, 2]]):
-        assert fluxtwin.diagnose(record.replace(mag_B_nT=wrong)).verdict == "unknown"
+        steps: list[str] = []
+        flipped = record.replace(mag_B_nT=wrong)
+        found = fluxtwin.diagnose(flipped, progress=lambda words, share, into=steps: into.append(words))
+        assert found.verdict == "unknown"
+        code = fluxtwin.check(flipped).traps[0].code
+        assert steps and all(f"First correct the file as fluxtwin check says ({code})" in words for words in steps)
     with pytest.raises(fluxtwin.NoAnswer, match=r"^First correct the file as fluxtwin check says"):
         fluxtwin.diagnose(record.replace(mag_B_nT=record.mag_B_nT * 1e9))
 

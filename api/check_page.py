@@ -11,7 +11,7 @@ from fluxtwin.calib.checks.report import CheckReport
 from fluxtwin.calib.common.design import reference_field_B_nT
 from fluxtwin.evidence import field_block
 from fluxtwin.scenarios.page import FigureBlock, Page, PageSection, Table
-from fluxtwin.sim.base.errors import FluxtwinError
+from fluxtwin.sim.base.errors import FluxtwinError, amount
 from fluxtwin.sim.earth.field import field_N_nT
 from fluxtwin.sim.earth.field_models import FieldModel
 from fluxtwin.sim.telemetry.record import Telemetry
@@ -39,7 +39,7 @@ def verdict(found: CheckReport) -> str:
     said, count = found.clean, len(found.traps)
     if count:
         said = f"{count} {'trap' if count == 1 else 'traps'} found: {', '.join(one.code for one in found.traps)}"
-    return f"{found.source}: {found.samples} rows; {said}"
+    return f"{found.source}: {amount(found.samples, 'row|rows')}; {said}"
 
 
 def findings_table(found: CheckReport) -> Table:

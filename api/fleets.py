@@ -14,7 +14,7 @@ from fluxtwin.calib.common.digits import measured, plain
 from fluxtwin.diagnosing import Assumed, diagnose, with_assumed
 from fluxtwin.notebook import usual
 from fluxtwin.scenarios.page import Table
-from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.errors import BadInput, amount
 from fluxtwin.sim.base.progress import Progress
 from fluxtwin.sim.base.workers import answers, require_workers
 from fluxtwin.sim.telemetry.telemetry_files import Readable
@@ -49,7 +49,7 @@ def fleet(
 
     if len(vehicles) < 3:
         wanted = "three or more: with two, nothing says which one differs"
-        raise BadInput(f"{len(vehicles)} vehicles", where="fleet", wanted=wanted)
+        raise BadInput(amount(len(vehicles), "vehicle|vehicles"), where="fleet", wanted=wanted)
     options = {"scenario": scenario, "modelled": modelled, **assumed}
     records = {name: as_record(one) for name, one in vehicles.items()}
     for one, other in itertools.combinations(records, 2):  # noise that is counted twice looks like an effect in common

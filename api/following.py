@@ -24,7 +24,7 @@ from fluxtwin.diagnosing import AssumedAndReading, budget_of, declared_in, diagn
 from fluxtwin.gap.diagnose import new_rounding
 from fluxtwin.gap.watch import FIRST_ROWS, FIRST_S, RUN, Changed, Watch, begin, enough
 from fluxtwin.notebook import usual
-from fluxtwin.sim.base.errors import BadInput, NoAnswer
+from fluxtwin.sim.base.errors import BadInput, NoAnswer, amount
 from fluxtwin.sim.base.processes import stop_if_asked
 from fluxtwin.sim.base.progress import Progress
 from fluxtwin.sim.base.shown import Shown
@@ -137,7 +137,7 @@ def follow(
 def _line(changed: Changed | None, name: str, rows: int, whole: Telemetry) -> str:
     named = f"calibration {name}" if name else "what the first rows showed"
     if changed is None:
-        return f"No alarm in {rows} rows up to {epoch.iso(whole.time[-1])}: {named} still holds."
+        return f"No alarm in {amount(rows, 'row|rows')} up to {epoch.iso(whole.time[-1])}: {named} still holds."
     after = int((whole.time >= changed.since).sum())
     return (
         f"ALARM {epoch.iso(changed.time)}: {named} no longer holds, since about {epoch.iso(changed.since)}. Most likely "
@@ -161,8 +161,8 @@ class _Rows:
             if enough(whole := self.all()):
                 return new_rounding(whole)
         raise NoAnswer(
-            f"the stream ended after {self._count} rows: watching starts after {FIRST_ROWS} rows with reading and "
-            f"position, over at least {FIRST_S / 60:.0f} minutes, from which "
+            f"the stream ended after {amount(self._count, 'row|rows')}: watching starts after {FIRST_ROWS} rows with "
+            f"reading and position, over at least {FIRST_S / 60:.0f} minutes, from which "
             "the noise is estimated; diagnose without --follow needs fewer",
             evidence={"rows": self._count, "needed": FIRST_ROWS},
         )
@@ -240,8 +240,8 @@ class _Hours:
             if self._hour is not None and hour != self._hour and self._rows:
                 size = np.sqrt(self._squares / max(self._parts, 1))
                 self._said(
-                    f"{epoch.iso(self._hour, 'h')}: {self._rows} rows, residual {size:.2f} times the expected noise, "
-                    f"evidence of a change {plain(self._watch.level, 2)} (alarm at {RUN:,.0f})"
+                    f"{epoch.iso(self._hour, 'h')}: {amount(self._rows, 'row|rows')}, residual {size:.2f} times the "
+                    f"expected noise, evidence of a change {plain(self._watch.level, 2)} (alarm at {RUN:,.0f})"
                 )
                 self._rows, self._parts, self._squares = 0, 0, 0.0
             self._hour = hour

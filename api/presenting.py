@@ -27,7 +27,7 @@ from fluxtwin.gap.records.plan import CalibrationPlan, Plan
 from fluxtwin.plots import on_axes, style
 from fluxtwin.plots.plan import power_on, sigma_on
 from fluxtwin.scenarios.page import StudyResult, Table, with_rows
-from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.errors import BadInput, amount
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.run.ensemble.run import Ensemble
 from fluxtwin.sim.run.truth import Truth
@@ -99,19 +99,22 @@ def _inventory(found: describing.Inventory) -> Presented:
     rows = [(c.name, c.unit, c.known, c.step_s, c.low, c.median, c.high) for c in found.columns]
     lacking = [f"{verb} lacks {', '.join(missing)}" for verb, missing in found.lacks.items() if missing]
     unread = [found.unread] if found.unread else []
-    return Presented([f"{found.source}: {found.rows} rows{span}", *unread, *lacking], [Table("Columns", columns, rows)])
+    return Presented(
+        [f"{found.source}: {amount(found.rows, 'row|rows')}{span}", *unread, *lacking],
+        [Table("Columns", columns, rows)],
+    )
 
 
 def _yaw(found: YawSolution) -> Presented:
     summary = found.summary
-    left_out = [f"- {count} rows left out: {reason}" for reason, count in found.left_out.items()]
+    left_out = [f"- {amount(count, 'row|rows')} left out: {reason}" for reason, count in found.left_out.items()]
     columns = ("smallest [deg]", "median [deg]", "largest [deg]")
     tables = [Table("Sigma of yaw", columns, [[*summary["sigma_deg"].values()]])]
     rms = summary["rms_against_reference_deg"]
     if rms["full"] is not None:
         columns = ("full solution [deg]", "first order [deg]", "yaw = 0 [deg]")
         tables.append(Table("Yaw error against the reference attitude, rms", columns, [[*rms.values()]]))
-    return Presented([f"{summary['samples']} samples", *left_out], tables)
+    return Presented([amount(summary["samples"], "sample|samples"), *left_out], tables)
 
 
 def _attitude(found: AttitudeSolution) -> Presented:

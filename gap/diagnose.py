@@ -36,7 +36,7 @@ from fluxtwin.gap.report.verdict import Work
 from fluxtwin.gap.selection.criterion import FEWEST, THRESHOLD
 from fluxtwin.gap.selection.detectable import detectable
 from fluxtwin.gap.selection.refit import Readings, refit, settled
-from fluxtwin.sim.base.errors import NoAnswer
+from fluxtwin.sim.base.errors import NoAnswer, amount
 from fluxtwin.sim.base.progress import Progress, silent
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.earth.field_models import FieldModel
@@ -366,7 +366,7 @@ def _require_rows(problem: Problem) -> None:
         plain = problem.axes is None
         each = "" if plain else f" ({problem.rows} rows in all; three without attitude count as one)"
         raise NoAnswer(
-            f"the record is too short: it has {whole} rows with reading, position and attitude{each}; "
+            f"the record is too short: it has {amount(whole, 'row|rows')} with reading, position and attitude{each}; "
             f"at least {wanted} are needed to tell a gap from {problem.nuisance.shape[2]} parameters that are re-estimated",
             evidence={"rows": problem.rows, "needed": wanted},
         )

@@ -31,7 +31,7 @@ from fluxtwin.gap.noise.whitening import NoiseModel
 from fluxtwin.gap.problem.problem import Budget, pose
 from fluxtwin.gap.problem.row_axes import start_without_attitude, turn_images
 from fluxtwin.gap.selection.refit import settled
-from fluxtwin.sim.base.errors import BadInput, NoAnswer
+from fluxtwin.sim.base.errors import BadInput, NoAnswer, amount
 from fluxtwin.sim.base.types import BoolArray, FloatArray, IntArray
 from fluxtwin.sim.earth import frames
 from fluxtwin.sim.earth.field import field_N_nT
@@ -227,8 +227,8 @@ def begin(
     budget = budget or Budget()
     if not enough(first):
         raise NoAnswer(
-            f"the record ends after {len(first)} rows: to watch for a change, at least {FIRST_ROWS} with reading and "
-            f"position over {FIRST_S:.0f} s are needed first, to estimate the noise",
+            f"the record ends after {amount(len(first), 'row|rows')}: to watch for a change, at least {FIRST_ROWS} with "
+            f"reading and position over {FIRST_S:.0f} s are needed first, to estimate the noise",
             evidence={"rows": len(first), "needed": FIRST_ROWS},
         )
     corrected = first

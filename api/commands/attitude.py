@@ -9,6 +9,7 @@ import typer
 
 from fluxtwin.commands import options as of
 from fluxtwin.console import Output
+from fluxtwin.sim.base.errors import amount
 
 if TYPE_CHECKING:
     from fluxtwin.calib.attitude.three_axis import AttitudeSolution
@@ -73,7 +74,7 @@ def command(
         f"{len(found.time)} rows, {int((~found.aided).sum())} without {found.aid}; {int(found.inflated.sum())} outliers"
     )
     for reason, count in found.left_out.items():
-        output.say(f"- {count} rows left out: {reason}")
+        output.say(f"- {amount(count, 'row|rows')} left out: {reason}")
     output.files([out])
     output.result({**columns, "written": [] if out is None else [str(out)]})
     if not found.holds:

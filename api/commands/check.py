@@ -9,6 +9,7 @@ import typer
 
 from fluxtwin.commands import options as of
 from fluxtwin.console import Output, manners
+from fluxtwin.sim.base.errors import amount
 
 if TYPE_CHECKING:
     from fluxtwin.calib.checks.check import CheckReport
@@ -63,10 +64,10 @@ def command(
         if html is not None:
             progress("drawing", 0.9)
             _draw(found, telemetry, html, model, reading)
-    _print(output, f"{telemetry}: {found.samples} rows", found)
+    _print(output, f"{telemetry}: {amount(found.samples, 'row|rows')}", found)
     record = found.to_dict()
     if mended is not None and after is not None:
-        _print(output, f"{repair}: {after.samples} rows, repaired", after)
+        _print(output, f"{repair}: {amount(after.samples, 'row|rows')}, repaired", after)
         record |= {"repair": mended.to_dict(), "repaired": after.to_dict(), "written": [str(repair)]}
     output.files([html])
     output.result(record)

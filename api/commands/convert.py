@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from fluxtwin.commands import options as of
 from fluxtwin.console import Output
+from fluxtwin.sim.base.errors import amount
 
 BRIEF = "Write telemetry in another format, completely or in part."
 
@@ -19,5 +20,5 @@ def command(
         output.claim({"--out": (out, outputs.TELEMETRY)}, [telemetry, *reading.files])
         record = of.read(telemetry, output, reading)
         write_telemetry(record, out)
-    output.say(f"{out}: {len(record)} rows")
+    output.say(f"{out}: {amount(len(record), 'row|rows')}")
     output.result({"rows": len(record), "written": [str(out)]})

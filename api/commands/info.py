@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from fluxtwin.commands import options as of
 from fluxtwin.console import Output
+from fluxtwin.sim.base.errors import amount
 
 if TYPE_CHECKING:
     from fluxtwin.describing import Inventory
@@ -38,7 +39,7 @@ def command(
 def _print(output: Output, one: Inventory) -> None:
     if one.unread:
         why = one.unread.removeprefix(f"{one.source}: ")
-        output.prose(f"{one.source}: {one.rows} rows; not telemetry as it stands: {why}")
+        output.prose(f"{one.source}: {amount(one.rows, 'row|rows')}; not telemetry as it stands: {why}")
         output.table("", ("column", "unit"), [(column.name, column.unit) for column in one.columns])
         if " beside the readings" not in one.unread:
             output.say(f"Next: fluxtwin map {one.source} --out map.toml")
@@ -47,7 +48,7 @@ def _print(output: Output, one: Inventory) -> None:
     span = ""
     if one.span_s is not None and one.step_s is not None:
         span = f" ({one.span_s / 3600.0:.4g} h), every {one.step_s:.4g} s"
-    output.say(f"{one.source}: {one.rows} rows, {one.start} to {one.end}{span}")
+    output.say(f"{one.source}: {amount(one.rows, 'row|rows')}, {one.start} to {one.end}{span}")
     rows = [
         (
             column.name,
@@ -80,4 +81,6 @@ def _passes(output: Output, one: Inventory) -> None:
         return
     rows = [(piece.start, piece.end, piece.rows, piece.gap_before_s) for piece in one.passes[:_MOST_PASSES]]
     note = f"The first {_MOST_PASSES} are listed." if len(one.passes) > _MOST_PASSES else ""
-    output.table(f"{len(one.passes)} passes", ("from [UTC]", "to [UTC]", "rows", "gap before [s]"), rows, note)
+    output.table(
+        amount(len(one.passes), "pass|passes"), ("from [UTC]", "to [UTC]", "rows", "gap before [s]"), rows, note
+    )

@@ -9,6 +9,7 @@ from typing import Annotated
 from fluxtwin.commands import options as of
 from fluxtwin.console import Output
 from fluxtwin.scenarios.packaged import NAMES, load_scenario
+from fluxtwin.sim.base.errors import amount
 
 BRIEF = "Simulate telemetry from a scenario."
 
@@ -61,7 +62,7 @@ def command(
             real.write(truth)
             written.append(truth)
     span = [iso(record.time[0]), iso(record.time[-1])]
-    output.say(f"{plan.name}: {len(record)} samples, {span[0]} to {span[1]}, seed {plan.seed}")
+    output.say(f"{plan.name}: {amount(len(record), 'sample|samples')}, {span[0]} to {span[1]}, seed {plan.seed}")
     output.files(written)
     about = {"name": plan.name, "seed": plan.seed, "samples": len(record), "span": span}
     output.result({**about, "written": [str(path) for path in written]})

@@ -19,7 +19,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from fluxtwin.calib.common.covariance import segments, small_sample
-from fluxtwin.sim.base.errors import BadInput, NoAnswer
+from fluxtwin.sim.base.errors import BadInput, NoAnswer, amount
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import frames, sun
 from fluxtwin.sim.telemetry.record import Telemetry
@@ -75,7 +75,8 @@ def calibrate_scanner(
         rows = rows[np.isin(telemetry.sun_sensor_head[rows], heads)]
     if rows.size < _FEWEST:
         raise NoAnswer(
-            f"{rows.size} rows have both a sun and a nadir measurement of trusted heads; {_FEWEST} are needed",
+            f"{amount(rows.size, 'row has|rows have')} both a sun and a nadir measurement of trusted heads; {_FEWEST} are "
+            "needed",
             evidence={"rows": int(rows.size)},
         )
     assert telemetry.sun_B is not None and telemetry.nadir_B is not None and telemetry.r_N_km is not None

@@ -44,7 +44,7 @@ from fluxtwin.calib.common.records import Calibration, parameter_names
 from fluxtwin.calib.common.residuals import residual_statistics
 from fluxtwin.calib.common.words import say
 from fluxtwin.calib.linear.calibrate import calibrate_linear
-from fluxtwin.sim.base.errors import NoAnswer
+from fluxtwin.sim.base.errors import NoAnswer, amount
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.earth import frames
 from fluxtwin.sim.earth.field import FieldModel
@@ -229,7 +229,7 @@ def _report(
     white_deg, drift_deg = np.degrees(noises.white_rad), np.degrees(noises.drift_rad)
     innovations = ", ".join(f"{sensor} {plain(nis[sensor])}" for sensor in SENSORS if sensor in nis)
     messages = [
-        *(f"{count} rows left out: {reason}" for reason, count in left_out.items()),
+        *(f"{amount(count, 'row|rows')} left out: {reason}" for reason, count in left_out.items()),
         say("attitude.of_field", source=noise.source, n=noises),
         say("attitude.of_reference", white_deg=white_deg, drift_deg=drift_deg, n=noises),
         say("attitude.fit_innovations", nis=innovations, correlation=lag_correlation, passes=passes),

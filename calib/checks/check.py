@@ -257,7 +257,7 @@ def _order(table: FileTable, mend: str) -> list[Finding]:
     step = np.diff(stamps[known].astype("int64"))
     back, same = known[1:][step < 0], known[1:][step == 0]
     if back.size:
-        row, many = int(np.flatnonzero(step < 0)[0]), {"count": back.size, "s": "s" if back.size > 1 else ""}
+        row, many = int(np.flatnonzero(step < 0)[0]), {"count": back.size}
         before, after = (epoch.iso(stamps[known[at]], "ms") for at in (row, row + 1))
         findings.append(trap("time_not_increasing", back, before=before, after=after, mend=mend, **many))
     if same.size:

@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from fluxtwin.calib.common.words import texts
+from fluxtwin.calib.common.words import filled, texts
 from fluxtwin.sim.base.shown import Shown
 
 _SHOWN_ROWS = 20
@@ -100,4 +100,4 @@ def _finding(severity: Literal["trap", "note"], name: str, rows: np.ndarray | No
     text = texts("fluxtwin.calib.checks", "findings.toml")[severity][code]
     some = np.zeros(0, dtype=int) if rows is None else rows
     shown = tuple(int(row) + 1 for row in some[:_SHOWN_ROWS])
-    return Finding(code, severity, (text[variant] if variant else text).format(**values), shown, len(some))
+    return Finding(code, severity, filled(text[variant] if variant else text, values), shown, len(some))

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fluxtwin.sim.base.errors import BadInput, NoAnswer
+from fluxtwin.sim.base.errors import BadInput, NoAnswer, amount
 from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
 from fluxtwin.sim.earth import frames
 from fluxtwin.sim.earth.constants import GM_EARTH_KM3_S2
@@ -137,7 +137,7 @@ def complete_rows(needs: Mapping[str, BoolArray], wanted: str) -> tuple[np.ndarr
     """As `rows_with`. Raises NoAnswer, with the words of `wanted`, when no row is left."""
     rows, left_out = rows_with(needs)
     if not rows.size:
-        reasons = ", ".join(f"{count} rows have {reason}" for reason, count in left_out.items())
+        reasons = ", ".join(f"{amount(count, 'row has|rows have')} {reason}" for reason, count in left_out.items())
         raise NoAnswer(
             f"no row is complete: {reasons}. A calibration {wanted}",
             evidence={"left_out": left_out},

@@ -18,6 +18,7 @@ from fluxtwin.calib.common.records import Calibration, parameter_unit
 from fluxtwin.calib.common.residuals import ResidualStatistics, residual_statistics
 from fluxtwin.calib.common.robust import find_outliers
 from fluxtwin.calib.common.verdict import Verdict
+from fluxtwin.sim.base.errors import amount
 from fluxtwin.sim.base.shown import Shown
 from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
 from fluxtwin.sim.telemetry.record import Telemetry
@@ -132,5 +133,7 @@ def with_warnings(fit: F, telemetry: Telemetry, *, robust: bool) -> F:
         found.append("the torquers fired in these data but T was not estimated: compare with --parameters b,S,T")
     outliers = 0 if robust else int(find_outliers(fit.residuals_nT).sum())
     if outliers:
-        found.append(f"{outliers} rows are outliers (bit errors?): compare with --robust tukey")
+        found.append(
+            f"{amount(outliers, 'row is an outlier|rows are outliers')} (bit errors?): compare with --robust tukey"
+        )
     return replace(fit, messages=(*fit.messages, *found))

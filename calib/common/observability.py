@@ -19,7 +19,7 @@ from scipy.linalg import qr
 
 from fluxtwin.calib.common.digits import plain
 from fluxtwin.calib.common.records import parameter_names
-from fluxtwin.sim.base.errors import NoAnswer
+from fluxtwin.sim.base.errors import NoAnswer, amount
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth.constants import NT_PER_MG
 
@@ -81,7 +81,7 @@ def require_samples(rows: int, parameters: int) -> None:
     """Raises NoAnswer when there are fewer samples than parameters."""
     if rows < parameters:
         raise NoAnswer(
-            f"{rows} usable sample{'s' if rows != 1 else ''} for {parameters} parameters: at least {parameters} "
+            f"{amount(rows, 'usable sample|usable samples')} for {parameters} parameters: at least {parameters} "
             "are needed, or fewer parameters (--parameters b)",
             evidence={"samples": rows, "parameters": parameters},
         )

@@ -14,7 +14,7 @@ import numpy as np
 
 from fluxtwin.calib.common.fit import Fit
 from fluxtwin.calib.common.robust import find_outliers
-from fluxtwin.sim.base.errors import NoAnswer
+from fluxtwin.sim.base.errors import NoAnswer, amount
 from fluxtwin.sim.base.types import FloatArray
 
 _FEWEST = 20
@@ -46,7 +46,8 @@ def compare(first: Fit, second: Fit) -> Pair:
         raise NoAnswer("two magnetometers are compared by vectors: a method with attitude is needed")
     common, i, j = np.intersect1d(first.time, second.time, return_indices=True)
     if common.size < _FEWEST:
-        raise NoAnswer(f"the two magnetometers have {common.size} readings at the same instants; {_FEWEST} are needed")
+        have = amount(common.size, "reading|readings")
+        raise NoAnswer(f"the two magnetometers have {have} at the same instants; {_FEWEST} are needed")
     one, two = first.residuals_nT[i], second.residuals_nT[j]
     kept = ~(find_outliers(one) | find_outliers(two))
     one, two = one[kept] - one[kept].mean(axis=0), two[kept] - two[kept].mean(axis=0)

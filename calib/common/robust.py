@@ -18,7 +18,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from fluxtwin.sim.base.errors import NoAnswer
+from fluxtwin.sim.base.errors import NoAnswer, amount
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 
 MAD_TO_SIGMA = 1.482602218505602
@@ -55,7 +55,7 @@ def rows_to_keep(start_nT: FloatArray, refit: Callable[[FloatArray], FloatArray]
 
 def outlier_words(kept: BoolArray) -> str:
     """How many rows are left out."""
-    return f"{int((~kept).sum())} outliers of more than {TUKEY_AT:g} robust sigma left out"
+    return f"{amount(int((~kept).sum()), 'outlier|outliers')} of more than {TUKEY_AT:g} robust sigma left out"
 
 
 def find_outliers(residuals: FloatArray) -> np.ndarray:

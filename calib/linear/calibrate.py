@@ -41,7 +41,7 @@ from fluxtwin.calib.common.regression import Regression, regress, residuals
 from fluxtwin.calib.common.robust import outlier_words, rows_to_keep
 from fluxtwin.calib.linear.covariance_report import report_covariance
 from fluxtwin.calib.linear.estimating_equations import LinearProblem, Solution, turned_rad2
-from fluxtwin.sim.base.errors import BadInput, NoAnswer
+from fluxtwin.sim.base.errors import BadInput, NoAnswer, amount
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth.field import FieldModel
 from fluxtwin.sim.telemetry.record import Telemetry
@@ -376,7 +376,7 @@ def _report(problem: LinearProblem, solution: Solution, model_name: str, passes:
 
 
 def _messages(problem: LinearProblem, solution: Solution, variation: observability.FieldVariation) -> tuple[str, ...]:
-    out = [f"{count} rows left out: {reason}" for reason, count in problem.design.left_out.items()]
+    out = [f"{amount(count, 'row|rows')} left out: {reason}" for reason, count in problem.design.left_out.items()]
     out.append(f"noise of the reading: {problem.noise.source}")
     if problem.options.corrects:
         out.append(

@@ -41,7 +41,7 @@ from fluxtwin.calib.scalar.model import (
 from fluxtwin.calib.scalar.observability import choose, other_solution, refuse_thin, require_meaning, require_observed
 from fluxtwin.calib.scalar.rows import DIPOLES, ScalarProblem, assemble_scalar, make_problem
 from fluxtwin.calib.scalar.twostep import center, center_terms, twostep
-from fluxtwin.sim.base.errors import NoAnswer
+from fluxtwin.sim.base.errors import NoAnswer, amount
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.earth.field import FieldModel
 from fluxtwin.sim.telemetry.record import Telemetry
@@ -347,7 +347,7 @@ def _method_words(problem: ScalarProblem) -> str:
 def _messages(problem: ScalarProblem, noise: ReadingNoise, inflation: float) -> list[str]:
     """Rows left out, the noise, and what the residual says of it."""
     rows = problem.rows
-    out = [f"{count} rows left out: {reason}" for reason, count in rows.left_out.items()]
+    out = [f"{amount(count, 'row|rows')} left out: {reason}" for reason, count in rows.left_out.items()]
     out.append(f"noise of the reading: {noise.source}")
     ratio = float(np.sqrt(inflation))
     sure = 4.0 / np.sqrt(2.0 * max(len(rows), 1))

@@ -45,7 +45,7 @@ from fluxtwin.calib.spin.motion import SpinMotion
 from fluxtwin.calib.spin.rows import SpinRows, assemble_spin
 from fluxtwin.calib.spin.sedlak import OF_SIGMA, Iterated, at, free_motion, iterate
 from fluxtwin.calib.spin.start import SpinStart, blind_start
-from fluxtwin.sim.base.errors import NoAnswer
+from fluxtwin.sim.base.errors import NoAnswer, amount
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import epoch, frames
 from fluxtwin.sim.earth.field import FieldModel
@@ -204,7 +204,7 @@ def scalar_start(rows: SpinRows, options: SpinOptions) -> tuple[FloatArray, Floa
     if options.noise_nT is None:  # TWOSTEP takes off what the noise does: no more than there is
         found = _of_size(data._replace(Sigma=np.diag(np.maximum(noise.variance_nT2 / scale**2, _LEAST_NOISE**2))))
         D, b, sound = found if found[2] else (D, b, sound)
-    messages = [f"{count} rows left out: {reason}" for reason, count in rows.left_out.items()]
+    messages = [f"{amount(count, 'row|rows')} left out: {reason}" for reason, count in rows.left_out.items()]
     messages.append(f"noise of the reading: {noise.source}")
     if not sound:
         messages.append("the size of the field alone does not give S and b (TWOSTEP): the start takes both for zero")

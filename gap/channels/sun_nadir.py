@@ -35,7 +35,7 @@ from fluxtwin.gap.records.diagnosis import EffectParameter, Estimate, FoundEffec
 from fluxtwin.gap.selection.criterion import THRESHOLD, worth
 from fluxtwin.gap.selection.refit import WHOLLY
 from fluxtwin.gap.selection.search import axis_of
-from fluxtwin.sim.base.errors import NoAnswer
+from fluxtwin.sim.base.errors import NoAnswer, amount
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import epoch, frames, sun
 from fluxtwin.sim.earth.frames import angle_between
@@ -258,7 +258,7 @@ def open_channel(telemetry: Telemetry, *, fewest: int = 8) -> Channel:
     count = int(of_row.max()) + 1 if rows.size else 0
     if count < fewest:
         raise NoAnswer(
-            f"{count} passes have measured sun and nadir; {fewest} are needed to know their scatter",
+            f"{amount(count, 'pass has|passes have')} measured sun and nadir; {fewest} are needed to know their scatter",
             evidence={"passes": count, "rows": int(rows.size)},
         )
     assert telemetry.sun_B is not None and telemetry.nadir_B is not None and telemetry.r_N_km is not None

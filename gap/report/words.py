@@ -16,6 +16,7 @@ from fluxtwin.calib.common.observability import listed
 from fluxtwin.gap.detectors.residual_structure import Structure
 from fluxtwin.gap.noise.choice import NoiseModel, NoisePrior
 from fluxtwin.gap.records.diagnosis import Detectable, FoundEffect, MomentumGap, Place, Shrinkage
+from fluxtwin.sim.base.errors import amount
 from fluxtwin.sim.base.types import BoolArray, TimeArray
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.effects.catalogue import CATALOGUE
@@ -263,7 +264,8 @@ def outliers(time: TimeArray, cut: BoolArray) -> str:
 
 def unknown_dipole(rows: int) -> str:
     """How many rows were left out for want of a torquer dipole."""
-    return f"rows with a reading but no torquer dipole, which were excluded: {rows}"
+    what = "with a reading but no torquer dipole"
+    return f"{amount(rows, f'row {what} was|rows {what} were')} excluded"
 
 
 def assumed(values: Mapping[str, Mapping[str, Any]]) -> str:

@@ -66,6 +66,12 @@ def kind_of(given: object) -> str:
     return f"{type(given).__module__.partition('.')[0]} {type(given).__name__}".removeprefix("builtins ")
 
 
+def amount(count: int, words: str) -> str:
+    """A number and the words that fit it, of `one|many`: `1 row has` or `2 rows have` of "row has|rows have"."""
+    one, _, many = words.partition("|")
+    return f"{count} {one if count == 1 else many}"
+
+
 def names_in(given: str | Iterable[str]) -> list[str]:
     """Each name once, of several or of a text with commas between them; `none` alone is an empty list."""
     if isinstance(given, str):

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.errors import BadInput, amount
 from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
 from fluxtwin.sim.earth import frames
 from fluxtwin.sim.telemetry.columns import FileTable, Resolution, resolve
@@ -200,8 +200,7 @@ def _check_quaternions(q: FloatArray | None, where: str) -> None:
     off = np.flatnonzero(np.abs(size - 1.0) > NORM_TOLERANCE)
     if off.size:
         raise BadInput(
-            f"the quaternion in row {off[0] + 1} has norm {size[off[0]]:.6g} ({off.size} such"
-            f" row{'s' if off.size > 1 else ''})",
+            f"the quaternion in row {off[0] + 1} has norm {size[off[0]]:.6g} ({amount(off.size, 'such row|such rows')})",
             where=where,
             wanted=f"unit quaternions, norm 1 within {NORM_TOLERANCE:g} (0.02 in a column map); blank where not known",
         )

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline, CubicSpline
 from scipy.spatial.transform import Rotation, Slerp
 
-from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.errors import BadInput, amount
 from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
 from fluxtwin.sim.earth import frames, references
 from fluxtwin.sim.telemetry import companions
@@ -231,7 +231,9 @@ def _slerped(source: Source, time: TimeArray, notices: list[str]) -> tuple[Rotat
         wild = known & ~exact & (turn[np.minimum(place, turn.size - 1)] > _LARGEST_TURN_RAD)
         known &= ~wild
         if wild.any():
-            notices.append(f"attitude turns more than 90 deg between samples; {int(wild.sum())} rows have none")
+            notices.append(
+                f"attitude turns more than 90 deg between samples; {amount(int(wild.sum()), 'row has|rows have')} none"
+            )
         out = Slerp(have, have_R)(np.clip(want, have[0], have[-1]))
     elif known.any():
         out = Rotation.from_quat(np.tile(q[rows[0]], (time.size, 1)))

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.errors import BadInput, amount
 from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.earth.constants import EARTH_RATE_RAD_S
@@ -58,7 +58,8 @@ def read_source(path: Path | Table, entry: FileEntry, max_samples: int) -> Sourc
         )
     keep = ~np.isnat(source.time)
     if not keep.all():
-        source.notices.append(f"{Path(source.where).name}: {int((~keep).sum())} rows without a time were left out")
+        lost = amount(int((~keep).sum()), "row without a time was|rows without a time were")
+        source.notices.append(f"{Path(source.where).name}: {lost} left out")
         _cut(source, np.flatnonzero(keep))
     if entry.sort:
         _sort(source)
@@ -201,7 +202,7 @@ def _source(reader: _Reader, entry: FileEntry, notices: list[str], digest: str) 
     for name, spec in entry.columns.items():
         value = _quantity(reader, name, spec, entry.fill)
         if len(value) != len(time):
-            raise BadInput(f"{name} has {len(value)} rows, time has {len(time)}", where=reader.where)
+            raise BadInput(f"{name} has {amount(len(value), 'row|rows')}, time has {len(time)}", where=reader.where)
         values[name] = _to_N(name, spec, time, value)
     if "velocity" in values and entry.columns["velocity"].axes == "ITRS":
         if "position" not in values:

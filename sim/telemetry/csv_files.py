@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.errors import BadInput, amount
 from fluxtwin.sim.base.files import write_with
 from fluxtwin.sim.base.limits import (
     MAX_COLUMNS,
@@ -258,7 +258,8 @@ def without_comments(data: bytes, notices: list[str]) -> tuple[bytes, int]:
     is_row = any(cell.strip() and _is_number(cell.decode("utf-8", "replace")) for cell in cells)
     lines = len(starts) - is_row
     if lines:
-        notices.append(f"{lines} line{'s' if lines > 1 else ''} above the header begin with # and were skipped")
+        said = amount(lines, "line above the header begins with # and was|lines above the header begin with # and were")
+        notices.append(f"{said} skipped")
     return data[starts[-1] + 1 if is_row else at :], lines
 
 
@@ -370,7 +371,7 @@ def _checked_rows(body: bytes, mark: bytes, width: int, max_samples: int, where:
         start = 0 if row == 0 else int(ends[row - 1]) + 1
         found = body.count(mark, start, ends[row]) + 1
         blank = int(ends[row]) == start
-        what = "is blank" if blank else f"has {found} field{'s' if found > 1 else ''}, the header has {width}"
+        what = "is blank" if blank else f"has {amount(found, 'field|fields')}, the header has {width}"
         raise BadInput(f"row {row + 1} {what}", where=where, wanted="as many fields in every row as in the header")
     return int(ends.size)
 

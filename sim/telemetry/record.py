@@ -28,7 +28,7 @@ from typing import Any, TypeGuard
 
 import numpy as np
 
-from fluxtwin.sim.base.errors import BadInput
+from fluxtwin.sim.base.errors import BadInput, amount
 from fluxtwin.sim.base.shown import Shown
 from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
 from fluxtwin.sim.telemetry.quantities import DRIVERS, FAMILIES, RECORDED
@@ -410,7 +410,7 @@ def _check_time(time: TimeArray) -> None:
         row = int(backwards[0])
         raise BadInput(
             f"time does not increase: row {row + 1} is {time[row]}, row {row + 2} is {time[row + 1]}"
-            f" ({backwards.size} such step{'s' if backwards.size > 1 else ''})",
+            f" ({amount(backwards.size, 'such step|such steps')})",
             where="time",
             wanted="strictly increasing UTC; `fluxtwin check FILE --repair OUT` sorts and drops exact duplicates",
         )

@@ -7,7 +7,9 @@ from pathlib import Path
 from string import Formatter
 
 import pytest
+from worlds import small_record
 
+import fluxtwin
 from fluxtwin.calib import checks
 from fluxtwin.calib.checks.report import note
 from fluxtwin.calib.common.words import texts
@@ -44,3 +46,9 @@ def test_a_text_without_its_number_is_seen() -> None:
         note("few_samples", count=3)
     with pytest.raises(KeyError):
         note("no_such_text")
+
+
+@pytest.mark.parametrize(("rows", "counted", "said"), [(1, "1 row", "has"), (2, "2 rows", "have")])
+def test_one_row_is_not_in_the_plural(rows: int, counted: str, said: str) -> None:
+    found = fluxtwin.check(small_record(rows)).report()
+    assert f": {counted}; " in found and f"{counted} {said} a reading" in found

@@ -352,7 +352,7 @@ def test_a_file_that_is_one_of_one_is_called_by_its_name(tmp_path: Path) -> None
     rows: list[list[object]] = [[t, 2e4, 0.0, 1e3] for t in ("2020-03-01T00:00:00Z", "", "2020-03-01T00:00:10Z")]
     csv(tmp_path / "a.csv", "t,bx,by,bz", rows)
     read = mapped(tmp_path, one_file('{ recipe = "iso", columns = "t" }'), "a.csv")
-    assert "a.csv: 1 rows without a time were left out" in read.provenance["notices"]
+    assert "a.csv: 1 row without a time was left out" in read.provenance["notices"]
 
 
 ROWS_THAT_COUNT = """t,x,y,z,q0,q1,q2,q3,VALID

@@ -78,7 +78,7 @@ def test_a_column_map_that_cannot_be_meant(tmp_path: Path, toml: str, said: str)
             "needs the position",
         ),
         (entry('mag = { from = "deep", unit = "nT" }'), "t.nc", "one row per sample"),
-        (entry('mag = { from = "short", unit = "nT" }'), "t.nc", "mag has 1 rows, time has 2"),
+        (entry('mag = { from = "short", unit = "nT" }'), "t.nc", "mag has 1 row, time has 2"),
         (entry('mag = { from = "short", unit = "nT" }', path='where = "bx > 0"'), "t.nc", "1 and 2 rows"),
     ],
 )

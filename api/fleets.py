@@ -53,10 +53,20 @@ def fleet(
     options = {"scenario": scenario, "modelled": modelled, **assumed}
     records = {name: as_record(one) for name, one in vehicles.items()}
     for one, other in itertools.combinations(records, 2):  # noise that is counted twice looks like an effect in common
-        if np.array_equal(records[one].mag_B_nT, records[other].mag_B_nT, equal_nan=True):
+        if _share_readings(records[one], records[other]):
             raise BadInput(f"has the same readings as {one}", where=other, wanted="a record of each vehicle's own")
     found = diagnoses(records, options, jobs=jobs, scheduler=scheduler, executor=executor, progress=progress)
     return together(list(found), list(found.values()))
+
+
+def _share_readings(one: Telemetry, other: Telemetry) -> bool:
+    """Whether two records have the same readings, or the shorter one has most of its readings from the other, at the same
+    times: two sensors do not repeat each other to the last digit."""
+    if np.array_equal(one.mag_B_nT, other.mag_B_nT, equal_nan=True):
+        return True
+    _, mine, theirs = np.intersect1d(one.time, other.time, return_indices=True)
+    same = int((one.mag_B_nT[mine] == other.mag_B_nT[theirs]).all(axis=1).sum())
+    return 2 * same > min(int(one.has_reading.sum()), int(other.has_reading.sum()))
 
 
 def diagnoses(

@@ -68,9 +68,12 @@ def test_lists_may_be_typed_as_on_the_command_line(flown: str) -> None:
     assert "driver_load" in fluxtwin.calibrate(load, driver="load").calibration.telemetry_bias
     assert not fluxtwin.calibrate(load, driver="all").calibration.telemetry_bias, "it drives nothing"
     with pytest.raises(fluxtwin.BadInput, match="no effect is called 'biass'"):
-        fluxtwin.fleet({str(row): record[row:] for row in range(3)}, modelled="biass", jobs=1)
+        apart = {str(row): record.replace(mag_B_nT=record.mag_B_nT + row) for row in range(3)}
+        fluxtwin.fleet(apart, modelled="biass", jobs=1)
     with pytest.raises(fluxtwin.BadInput, match="b: has the same readings as a"):
         fluxtwin.fleet(dict.fromkeys("abc", flown), jobs=1)
+    with pytest.raises(fluxtwin.BadInput, match="2: has the same readings as 1"):  # most of them
+        fluxtwin.fleet({"0": apart["2"], "1": record[:30], "2": record[10:]}, modelled="biass", jobs=1)
     with pytest.raises(fluxtwin.BadInput, match="a diagnosis has no readings to calibrate"):
         fluxtwin.plan("found.json", names="calibration")
 

@@ -195,7 +195,6 @@ def close(
     if closure is None or closure.empty:
         return replace(diagnosis, transfers=[]), None
     base = None if scenario is None else as_scenario(scenario)
-    closure = closing.refined(closure)
     found = closing.settle(closure)
     transfers = transfer.transfers(closure, found.named)
     made = closing.closed_scenario(

@@ -5,7 +5,6 @@ The other way round, `without_effects` takes those that a scenario has out of te
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,7 +18,6 @@ from fluxtwin.gap.hypotheses.blocks import OWN_STAGES
 from fluxtwin.gap.noise.choice import reading_spacing
 from fluxtwin.gap.problem.problem import CALIBRATION, calibrated, corrected, pose
 from fluxtwin.gap.records.diagnosis import Closure, EffectParameter, Transfer
-from fluxtwin.gap.selection.forward import RATIOS
 from fluxtwin.gap.selection.refit import Readings, covariance_of, moving, refit
 from fluxtwin.gap.selection.search import parameters_of
 from fluxtwin.sim.base.errors import BadInput
@@ -57,28 +55,6 @@ class Declared:
     attitude_tau_s: float | None = None
     field: str | FieldModel | None = None
     degree: int | None = None
-
-
-def refined(closure: Closure) -> Closure:
-    """The closure with settings between those that the search tries (a time constant), where the data prefer one."""
-    problem, whitener, modelled = closure.problem, closure.whitener, closure.modelled
-    chosen, alternatives = list(closure.chosen), list(closure.alternatives)
-    readings = Readings(problem, whitener)
-    for number, (effect, _) in enumerate(closure.chosen):
-        if effect.between(problem.setting, 1.0) is None:
-            continue
-        best = refit(readings, chosen, modelled=modelled)
-        for ratio in RATIOS:
-            for step in (ratio, 1.0 / ratio):
-                moved = best.chosen[number][0].between(problem.setting, step)
-                assert moved is not None
-                start = [(moved, pair[1]) if place == number else pair for place, pair in enumerate(best.chosen)]
-                trial = refit(readings, start, modelled=best.modelled)
-                best = trial if trial.chi2 < best.chi2 else best
-        chosen, modelled = list(best.chosen), best.modelled
-        near = [chosen[number][0].between(problem.setting, step) for step in (RATIOS[1], 1.0 / RATIOS[1])]
-        alternatives[number] = (*(one for one in near if isinstance(one, SignalEffect)), *alternatives[number])
-    return dataclasses.replace(closure, chosen=tuple(chosen), modelled=modelled, alternatives=tuple(alternatives))
 
 
 def settle(closure: Closure) -> Closed:

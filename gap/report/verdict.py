@@ -38,7 +38,7 @@ from fluxtwin.gap.problem.problem import Budget, Problem
 from fluxtwin.gap.records.diagnosis import Closure, Detectable, Diagnosis, FoundEffect, Place, Shrinkage
 from fluxtwin.gap.report import words
 from fluxtwin.gap.selection.criterion import GATE, SHAPE_ERROR, still_known
-from fluxtwin.gap.selection.forward import LARGEST
+from fluxtwin.gap.selection.forward import LARGEST, RATIOS
 from fluxtwin.gap.selection.search import Support, found_effect
 from fluxtwin.sim.effects.base import DistributionEffect, SignalEffect
 from fluxtwin.sim.effects.catalogue import find_effect
@@ -295,12 +295,19 @@ def _of_shape(one: Finding, setting: Setting, known: float) -> FoundEffect:
 
 
 def _alternatives(work: Work, one: FoundEffect) -> tuple[SignalEffect, ...]:
-    """Other settings of a named effect, its group and its rivals. A clip's settings are but places to linearise at."""
+    """Other settings of a named effect, those beside its own first, its group and its rivals. A clip's settings are but
+    places to linearise at."""
     result = work.answer.result
     names = {*one.group, *(name for name, _ in one.rivals)} - {other.name for other in result.named}
     own = {one.name} if one.name != "saturation" else set()
     found = [candidate.effect for candidate in result.candidates if candidate.name in names | own]
-    return tuple(effect for effect in found if effect != one.effect)
+    near = (
+        []
+        if one.effect is None
+        else [one.effect.between(work.problem.setting, r) for r in (RATIOS[1], 1.0 / RATIOS[1])]
+    )
+    beside = [effect for effect in near if isinstance(effect, SignalEffect)]
+    return tuple(effect for effect in (*beside, *found) if effect != one.effect)
 
 
 def _what(work: Work, where: Place) -> str:

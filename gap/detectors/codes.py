@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Literal, cast
 
 import numpy as np
 from scipy import stats
 from scipy.special import gammaln
 
+from fluxtwin.calib.common.robust import MAD_TO_SIGMA
 from fluxtwin.gap.detectors.finding import Finding, gaussian
 from fluxtwin.gap.linear.projection import ProjectedResidual, projected
 from fluxtwin.gap.noise.choice import NOISE_LOG_SD, NoiseModel, Whitener, complete_budget
@@ -23,6 +25,7 @@ _BITS = 24
 _MOST = 0.9
 """Share of the readings that sit on a coarser step: the rest may have bit errors."""
 _MOST_SPIKES = 0.8  # share of the spikes that are one bit, or the same bit
+_SPIKE = float(stats.norm.pdf(CUT_SIGMA))  # what stands out further is as likely as this by causes that nobody models
 _OFF = 0.02  # of a step: readings this near to a multiple sit on it, 4 % by chance
 
 
@@ -116,10 +119,8 @@ def flipped_bits(reading_nT: FloatArray, residual_nT: FloatArray, cut: BoolArray
     count = int(cut.sum())
     if count < 2 or not lsb_nT > 0:
         return None
-    quiet = np.where(cut, np.nan, residual_nT)
-    sigma = 1.4826 * np.nanmedian(np.abs(quiet - np.nanmedian(quiet, axis=0)), axis=0)
-    rounding_nT = lsb_nT / np.sqrt(12.0)
-    spread = np.broadcast_to(np.maximum(sigma, rounding_nT), cut.shape)[cut]
+    sigma_nT = np.maximum(_scatter(np.where(cut, np.nan, residual_nT)), lsb_nT / np.sqrt(12.0))
+    spread = np.broadcast_to(sigma_nT, cut.shape)[cut]
     code = np.rint(reading_nT[cut] / lsb_nT).astype(np.int64)
     spike = residual_nT[cut]
     powers = np.left_shift(1, np.arange(_BITS))
@@ -143,30 +144,79 @@ def flipped_bits(reading_nT: FloatArray, residual_nT: FloatArray, cut: BoolArray
     large = lsb_nT * powers[: top + 2] > CUT_SIGMA * float(np.median(spread))
     visible = 1.0 if single else max(int(large.sum()), 1) / (top + 2)
     rate, error = (np.array([size / total / visible]) for size in (count, np.sqrt(count)))
-    if single and dominant < top:  # those that did not stand out are known too
-        rate, error = _rate_of(dominant, reading_nT, residual_nT, np.maximum(sigma, rounding_nT), lsb_nT)
     what = f"{count} spikes, {100 * fitting:.0f} % of them a single flipped bit"
     faults = () if fitting >= _MOST_SPIKES else ("the others are not",)
     return Finding(BitErrors(dominant if single else None, "flip", lsb_nT), rate, error, 2.0 * log_bayes, what, faults)
 
 
-def _rate_of(
-    bit: int, reading_nT: FloatArray, residual_nT: FloatArray, sigma_nT: FloatArray, lsb_nT: float
-) -> tuple[FloatArray, FloatArray]:
-    """Share (1,) of the readings (N, 3) that have one bit of their code turned round, and its sigma: by the likeliest
-    mixture of noise (3,), and noise about what the flip puts there."""
+@dataclass(frozen=True, eq=False)
+class _Mixture:
+    """The likeliest mixture of noise, and of noise about what is added to some readings."""
+
+    rate: float
+    sigma: float
+    share: FloatArray
+    """(N, 3) probability that something is added; 0 where there is no residual."""
+    log_likelihood: float
+
+
+def _mixture(moves_nT: Sequence[FloatArray], residual_nT: FloatArray, sigma_nT: FloatArray) -> _Mixture:
+    """moves_nT (N, 3) each: what may be added to a reading, all of them with equal chance, if any; sigma_nT (3,): about that
+    of the noise."""
     known = np.isfinite(residual_nT)
-    set_now = np.rint(np.where(known, reading_nT, 0.0) / lsb_nT).astype(np.int64) & (1 << bit) != 0
-    moved = np.where(set_now, 1.0, -1.0) * 2.0**bit * lsb_nT
-    log_ratio = ((residual_nT**2 - (residual_nT - moved) ** 2) / (2.0 * sigma_nT**2))[known]
-    times = np.exp(np.clip(log_ratio, -500.0, 500.0))
-    rate = 0.01
+    off, *by = (np.where(known, one / sigma_nT, 0.0)[known] for one in (residual_nT, *moves_nT))
+    rate, variance, before = 0.01 if by else 0.0, 1.0, -np.inf
     for _ in range(200):
-        rate, before = float(np.mean(rate * times / (1.0 - rate + rate * times))), rate
-        if abs(rate - before) < 1e-4 * before:
+        squares = [off**2, *((off - one) ** 2 for one in by)]
+        chances = [1.0 - rate, *(rate / len(by) for _ in by)]
+        densities = [np.exp(-0.5 * square / variance) / np.sqrt(2.0 * np.pi * variance) for square in squares]
+        whole = _SPIKE + sum(chance * density for chance, density in zip(chances, densities, strict=True))
+        shares = [chance * density / whole for chance, density in zip(chances, densities, strict=True)]
+        log_likelihood, moved = float(np.sum(np.log(whole))), np.asarray(sum(shares[1:]) + np.zeros(off.size))
+        if log_likelihood - before < 0.01:
             break
-    information = np.sum(((times - 1.0) / (1.0 - rate + rate * times)) ** 2)
-    return np.array([rate]), np.array([1.0 / np.sqrt(information)])
+        before, rate = log_likelihood, float(moved.mean())
+        variance = float(
+            sum(np.sum(share * square) for share, square in zip(shares, squares, strict=True)) / np.sum(shares)
+        )
+    slope = (sum(densities[1:]) / max(len(by), 1) - densities[0]) / whole
+    every = np.zeros(residual_nT.shape)
+    every[known] = moved
+    return _Mixture(rate, float(np.sum(slope**2)) ** -0.5, every, log_likelihood)
+
+
+def hidden_flips(reading_nT: FloatArray, residual_nT: FloatArray, lsb_nT: float) -> tuple[Finding, FloatArray] | None:
+    """Is one bit of the codes turned in some readings, though few or none stand out of the noise? And what it added to
+    each reading (N, 3), by its probability.
+
+    All (N, 3). A turned bit moves a reading up where the bit is set now, down where it is not: the likelihood of that is
+    set against noise alone, and against moves either way, as heavy tails make them.
+    """
+    sigma_nT = np.maximum(_scatter(residual_nT), lsb_nT / np.sqrt(12.0))
+    largest = float(np.nanmax(np.abs(residual_nT)))
+    bits = [bit for bit in range(_BITS) if sigma_nT.min() < 2.0**bit * lsb_nT < largest]
+    code = np.rint(np.where(np.isfinite(reading_nT), reading_nT, 0.0) / lsb_nT).astype(np.int64)
+    alone = _mixture([], residual_nT, sigma_nT).log_likelihood
+    best: tuple[float, int, _Mixture, FloatArray] | None = None
+    for bit in bits:
+        moved_nT = np.where(code & (1 << bit) != 0, 1.0, -1.0) * 2.0**bit * lsb_nT
+        own, either = (_mixture(ways, residual_nT, sigma_nT) for ways in ([moved_nT], [moved_nT, -moved_nT]))
+        drop = 2.0 * (own.log_likelihood - max(either.log_likelihood, alone))
+        if own.share.sum() > 1.5 and (best is None or drop > best[0]):  # one is a spike
+            best = (drop, bit, own, moved_nT * own.share)
+    if best is None:
+        return None
+    drop, bit, flips, moved_nT = best
+    value = worth(max(drop, 0.0), 1, float(np.isfinite(residual_nT).sum()), float(np.log(len(bits))))
+    what = f"bit {bit} is turned in {100 * flips.rate:.2g} % of the readings"
+    return Finding(
+        BitErrors(bit, "flip", lsb_nT), np.array([flips.rate]), np.array([flips.sigma]), value, what
+    ), moved_nT
+
+
+def _scatter(residual_nT: FloatArray) -> FloatArray:
+    """(3,) robust standard deviation of (N, 3)."""
+    return np.asarray(MAD_TO_SIGMA * np.nanmedian(np.abs(residual_nT - np.nanmedian(residual_nT, axis=0)), axis=0))
 
 
 def noise_level(
@@ -291,7 +341,14 @@ def in_the_readings(
         findings.append(stuck)
         if stuck is None:
             difference = residual_nT if robust.difference_nT is None else robust.difference_nT
-            findings.append(flipped_bits(reading[whole], difference[whole], robust.cut[whole], lsb))
+            flipped = flipped_bits(reading[whole], difference[whole], robust.cut[whole], lsb)
+            hidden = hidden_flips(reading[whole], difference[whole], lsb)
+            any_bit = flipped is not None and flipped.confirmed and cast(BitErrors, flipped.effect).bit is None
+            if hidden is not None and hidden[0].confirmed and not any_bit:
+                flipped = hidden[0]
+                residual_nT = residual_nT.copy()
+                residual_nT[whole] -= hidden[1]
+            findings.append(flipped)
     walks = any(one.name == "bias_random_walk" for one in found)
     if noise.sigma_prior_nT > 0 and not walks and not (stuck is not None and stuck.confirmed):
         rest = projected(whitener, residual_nT, fitted_nT)

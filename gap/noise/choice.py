@@ -430,7 +430,8 @@ def noise_of(
     """The noise model of a residual (N, 3) with these designs (N, 3, P) fitted, as in `select_noise`; in body axes."""
     where = (problem.noise_image_nT, problem.setting.seconds, problem.segment)
     prior, columns = prior_of(complete_budget(problem)), [problem.in_row_axes(design) for design in designs]
-    return select_noise(problem.in_row_axes(residual_nT), columns, *where, prior, problem.axes, walk)
+    reading_nT = problem.telemetry.mag_B_nT if problem.axes is None else None
+    return select_noise(problem.in_row_axes(residual_nT), columns, *where, prior, problem.axes, walk, reading_nT)
 
 
 def noise_beside(problem: Problem, active: Sequence[Active]) -> NoiseChoice:
@@ -469,15 +470,16 @@ def select_noise(
     prior: NoisePrior,
     axes: RowAxes | None = None,
     walk: float = 0.0,
+    reading_nT: FloatArray | None = None,
 ) -> NoiseChoice:
     """`choose_noise` on arrays: residual (N, 3), images of a turn (N, 3, 3), designs (N, 3, P) each (the first is the least
     that is fitted where there are too few rows for all), seconds, segment (N,); axes: those that all this is in,
-    if not the body axes."""
+    if not the body axes; reading_nT: as for `with_clipped`."""
     there = np.ones(residual_nT.shape, dtype=np.bool_) if axes is None else axes.measured
     design = _affordable(designs, int(there.sum()))
     if not image_nT.any():
         prior = replace(prior, theta_rad=0.0)  # nothing that an attitude error could act on
-    weights = first_weights(residual_nT, design, there)
+    weights = first_weights(residual_nT, design, there, reading_nT)
     like = _EVEN if prior.roll is None else replace(_EVEN, roll=prior.roll)
     whole = np.asarray(there.all(axis=1), dtype=np.bool_)
     choice: Choice | None = None
@@ -487,7 +489,8 @@ def select_noise(
         likelihood = Likelihood(data, prior, like, walk)
         choice = best_noise(likelihood, None if choice is None else choice.noise)
         left = likelihood.left_nT(choice)
-        again, difference = spike_weights(left, likelihood.whitener(choice.noise, weights, covariance=True), there)
+        filtered = likelihood.whitener(choice.noise, weights, covariance=True)
+        again, difference = spike_weights(left, filtered, there, reading_nT)
         whitener = likelihood.whitener(choice.noise, again)
         uneven = replace(like, axis_factor=_axis_factor(whitener, left, like.axis_factor, whole))
         if uneven != like and like == _EVEN and prior.roll is None and prior.theta_rad != 0.0:

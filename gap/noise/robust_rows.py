@@ -76,11 +76,30 @@ def weights_of(distance: FloatArray, measured: BoolArray | None = None) -> Float
     return np.where(distance > bar if measured is None else (distance > bar) | ~measured, 0.0, 1.0)
 
 
-def spike_weights(left_nT: FloatArray, whitener: Whitener, there: BoolArray) -> tuple[FloatArray, FloatArray]:
+def with_clipped(weights: FloatArray, difference_nT: FloatArray, reading_nT: FloatArray | None) -> FloatArray:
+    """The weights (N, 3), but of readings at an end of an axis's range that should have been beyond all that it reads:
+    a range that is too small makes two and more of them, and spikes hardly ever two.
+
+    difference_nT (N, 3): reading less what is predicted; reading_nT (N, 3): None where axes were turned.
+    """
+    if reading_nT is None or (weights > 0).all():
+        return weights
+    scatter_nT = MAD_TO_SIGMA * np.median(np.abs(difference_nT), axis=0)
+    for value, off in ((reading_nT, difference_nT), (-reading_nT, -difference_nT)):
+        top = np.nanmax(value, axis=0)
+        clipped = (weights <= 0) & (value - off > top) & (value > top - CUT_SIGMA * scatter_nT)
+        weights = np.where(clipped & (clipped.sum(axis=0) > 1), 1.0, weights)
+    return weights
+
+
+def spike_weights(
+    left_nT: FloatArray, whitener: Whitener, there: BoolArray, reading_nT: FloatArray | None = None
+) -> tuple[FloatArray, FloatArray]:
     """Weights (N, 3) under a noise model, and each component less what all others predict for it [nT].
 
     left_nT (N, 3): residual after the fit; whitener: with the weights as they are now, and the state's covariance;
     there (N, 3): components that are measured. Those that are cut now are weighed like all others and may come back.
+    reading_nT (N, 3): as for `with_clipped`.
     """
     noise = whitener.noise
     own = np.ones(left_nT.shape) / noise.axis_variance(whitener.axes)
@@ -90,21 +109,24 @@ def spike_weights(left_nT: FloatArray, whitener: Whitener, there: BoolArray) -> 
     kernels().predict_each(*filtered, own, scaled, standard, plain)
     # Many spikes make the noise look large: then its budget says what they stand out of, and the differences around them.
     least = min(1.0, noise.sigma_prior_nT / noise.sigma_nT)
-    return weights_of(standing_out(standard, least, there), there), plain * noise.sigma_nT
+    plain_nT = plain * noise.sigma_nT
+    return with_clipped(weights_of(standing_out(standard, least, there), there), plain_nT, reading_nT), plain_nT
 
 
-def first_weights(residual_nT: FloatArray, design: FloatArray, there: BoolArray) -> FloatArray:
+def first_weights(
+    residual_nT: FloatArray, design: FloatArray, there: BoolArray, reading_nT: FloatArray | None = None
+) -> FloatArray:
     """Weights (N, 3) before anything is known of the noise: gross spikes only.
 
     Least squares first; if anything stands out of it, the fit of least absolute residuals, which a tenth of wild
-    readings does not move. design: (N, 3, P); there (N, 3): components that are measured.
+    readings does not move. design: (N, 3, P); there (N, 3): components that are measured; reading_nT: as for `with_clipped`.
     """
     for rounds in (1, 15):
         left = residual_nT - design @ _fit(residual_nT[there], design[there], rounds)
         weights = weights_of(standing_out(left, measured=there), there)
         if (weights[there] > 0).all():
             break
-    return weights
+    return with_clipped(weights, left, reading_nT)
 
 
 def _fit(y: FloatArray, A: FloatArray, rounds: int) -> FloatArray:

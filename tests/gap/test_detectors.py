@@ -12,7 +12,7 @@ import pytest
 from worlds import scenario_text
 
 from fluxtwin.gap.detectors import lines, switched
-from fluxtwin.gap.detectors.codes import coarse_steps, flipped_bits, noise_level, stuck_bit
+from fluxtwin.gap.detectors.codes import coarse_steps, flipped_bits, hidden_flips, noise_level, stuck_bit
 from fluxtwin.gap.detectors.finding import Finding
 from fluxtwin.gap.detectors.lines import companion, strongest_line, wheel_line
 from fluxtwin.gap.detectors.random_walk import modes_of_a_walk, random_walk
@@ -281,6 +281,23 @@ def test_flipped_bits_are_told_from_other_spikes(bench: Bench, bit: int) -> None
     other = flipped_bits(spikes, spikes - predicted, np.abs(spikes - predicted) > 6 * SIGMA_NT, lsb)
     assert other is not None
     assert not other.confirmed
+
+
+@pytest.mark.parametrize(("bit", "rate"), [(3, 0.1), (4, 0.01), (4, 0.1)])
+def test_flips_are_found_that_do_not_stand_out_of_the_noise(bench: Bench, bit: int, rate: float) -> None:
+    """Of 1.6 and 3.2 sigma; one spike in twenty of a converter's, either way, is none."""
+    lsb, rng = 20.0, np.random.default_rng(bit)
+    reading, predicted = _codes(bench, lsb, 8)
+    hit, code = rng.random(reading.shape) < rate, np.rint(reading / lsb).astype(int)
+    turned = lsb * np.where(hit, code ^ (1 << bit), code)
+    found = hidden_flips(turned, turned - predicted, lsb)
+    assert found is not None
+    assert found[0].confirmed and found[0].effect.bit == bit
+    assert abs(found[0].theta[0] - rate) < 4 * found[0].sigma[0]
+    assert np.corrcoef(found[1][hit], (turned - reading)[hit])[0, 1] > 0.5
+    spikes = lsb * np.where(hit, code + rng.choice([-1, 1], code.shape) * (1 << bit), code)
+    for other in (reading, spikes, lsb * np.rint((predicted + SIGMA_NT * rng.standard_t(4, code.shape)) / lsb)):
+        assert (one := hidden_flips(other, other - predicted, lsb)) is None or not one[0].confirmed
 
 
 @pytest.mark.parametrize("bit", [2, 5, 9])

@@ -123,6 +123,8 @@ def wheel_line(
         faults.append("amplitude or phase changes along the record")
     if _linear(found):
         faults.append("it is linearly polarised")
+    if _of_the_orbit(setting, line.frequency_Hz):
+        faults.append("the record is too short to tell it from what repeats with the orbit")
     faults += varies(left, columns, drivers(setting))
     what = f"a line at {line.frequency_Hz:.6g} Hz" + ("" if faults else ", steady, elliptical")
     effect = WheelField(frequency_Hz=float(line.frequency_Hz))
@@ -137,6 +139,14 @@ def _linear(found: Fitted) -> bool:
     scatter = derivative @ found.covariance @ derivative.T
     distance = float(across @ np.linalg.pinv(scatter, rcond=1e-6) @ across)
     return bool(stats.chi2.sf(distance, 2) > FALSE_ALARM)
+
+
+def _of_the_orbit(setting: Setting, frequency_Hz: float) -> bool:
+    """Whether a line is within what a record resolves of one to four cycles an orbit: the field has two, and so have the
+    drivers that may change it."""
+    orbits = float(np.ptp(np.unwrap(setting.orbit_phase_rad))) / (2.0 * np.pi)
+    cycles = frequency_Hz * float(np.ptp(setting.seconds)) / orbits
+    return abs(cycles - float(np.clip(np.rint(cycles), 1.0, 4.0))) < 1.0 / orbits
 
 
 def companion(setting: Setting, left: ProjectedResidual, line: Line, effect: Effect) -> bool:

@@ -131,6 +131,8 @@ def test_none_is_named_for_what_is_not_in_the_list(bench: Bench) -> None:
         "nothing": np.zeros((t.size, 3)),
         "one step": np.outer(t > 11_000, [150.0, -80.0, 60.0]),
         "once an orbit": np.outer(np.cos(2 * np.pi * t / 5739.0), [200.0, 100.0, 0.0]),
+        "nearly twice an orbit": np.outer(np.cos(2 * np.pi * 1.93 * t / 5739.0), [200.0, 0.0, 90.0])
+        + np.outer(np.sin(2 * np.pi * 1.93 * t / 5739.0), [0.0, 150.0, 60.0]),
         "linear line": np.outer(np.cos(0.04 * t), [150.0, 60.0, 90.0]),
         "growing line": np.outer(np.cos(0.04 * t) * t / t[-1], [200.0, 0, 0])
         + np.outer(np.sin(0.04 * t) * t / t[-1], [0, 200.0, 0]),

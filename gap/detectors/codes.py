@@ -173,7 +173,7 @@ def _mixture(moves_nT: Sequence[FloatArray], residual_nT: FloatArray, sigma_nT: 
         whole = _SPIKE + sum(chance * density for chance, density in zip(chances, densities, strict=True))
         shares = [chance * density / whole for chance, density in zip(chances, densities, strict=True)]
         log_likelihood, moved = float(np.sum(np.log(whole))), np.asarray(sum(shares[1:]) + np.zeros(off.size))
-        if log_likelihood - before < 0.01:
+        if log_likelihood - before < 0.1:  # far below anything a decision turns on
             break
         before, rate = log_likelihood, float(moved.mean())
         variance = float(

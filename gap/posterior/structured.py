@@ -44,6 +44,7 @@ from fluxtwin.gap.problem.problem import Problem
 from fluxtwin.gap.selection.criterion import IN_GROUP, LOG_FURTHER, SHAPE, THRESHOLD, samples_of, worth
 from fluxtwin.gap.selection.forward import LARGEST
 from fluxtwin.sim.base.types import BoolArray, FloatArray
+from fluxtwin.sim.effects.calibration import Step
 from fluxtwin.sim.effects.chain import Active
 from fluxtwin.sim.effects.switched_field import HeaterSwitching
 
@@ -218,6 +219,8 @@ class Structured:
             return None
         if best.answer is None:
             return found
+        if any(isinstance(one, Step) or one.name in _LIKE_A_WALK for one, _ in found.result.chosen):
+            return None  # the largest increment of a walk is one of its own: where it had to be taken out, this is none
         finding = replace(finding, theta=np.array([best.rate * float(np.sqrt(found.result.variance))]))
         return replace(found, shapes=(*answer.shapes, finding))
 

@@ -188,7 +188,17 @@ def _climbed(
 def _likelihood(
     windows: Windows, residual: FloatArray, saturated: FloatArray, noise: MomentumNoise, prior: NoisePrior
 ) -> tuple[float, float]:
-    """Restricted log likelihood with the best size of all noise, and that size [rad]."""
+    """Restricted log likelihood with the best size of all noise, and that size [rad]; noise: of size one."""
+    log_determinant, chi2, free = _restricted(windows, residual, saturated, noise)
+    sigma = float(np.sqrt(chi2 / free))
+    value = -0.5 * (log_determinant + free * np.log(chi2 / free) + free)
+    return float(value) + _prior_log(replace(noise, sigma_rad=sigma), prior), sigma
+
+
+def _restricted(
+    windows: Windows, residual: FloatArray, saturated: FloatArray, noise: MomentumNoise
+) -> tuple[float, float, int]:
+    """Log determinant, chi-square and degrees of freedom of a balance (M, 3) with columns (M, 3, P) fitted."""
     whitener = MomentumWhitener(windows, noise)
     white = whitener.apply(residual).reshape(-1)
     design = whitener.apply(saturated).reshape(white.size, saturated.shape[2])
@@ -198,15 +208,27 @@ def _likelihood(
     size = np.abs(np.diag(R))
     # Images are differences of two flights, right to 1e-8: a combination of them with less is not known to a thousandth.
     kept = size > 1e-5 * max(float(size.max(initial=0.0)), 1e-300)
-    free = max(whitener.measured - int(kept.sum()), 1)
     whole = float(white @ white)
     chi2 = max(whole - float(along[kept] @ along[kept]), 1e-14 * whole, 1e-300)  # not less than rounding
-    sigma = float(np.sqrt(chi2 / free))
-    value = -0.5 * (whitener.log_determinant + 2.0 * float(np.log(size[kept]).sum()) + free * np.log(chi2 / free))
-    value += prior.log_density(prior.sigma_nT, sigma, noise.tau_s)
+    free = max(whitener.measured - int(kept.sum()), 1)
+    return whitener.log_determinant + 2.0 * float(np.log(size[kept]).sum()), chi2, free
+
+
+def _prior_log(noise: MomentumNoise, prior: NoisePrior) -> float:
     # A decade costs a half: where the data do not say, little moves the body unrecorded.
-    value -= 0.5 * sum(np.log10(ratio / _RATIOS[1]) for ratio in (noise.torque, noise.rate) if ratio)
-    return float(value), sigma
+    ratios = sum(np.log10(ratio / _RATIOS[1]) for ratio in (noise.torque, noise.rate) if ratio)
+    return float(prior.log_density(prior.sigma_nT, noise.sigma_rad, noise.tau_s) - 0.5 * ratios)
+
+
+def gained(channel: MomentumChannel, chosen: Sequence[Active], budget: Budget) -> float:
+    """Twice the log likelihood that a balance with these effects, and nothing else, wins by a noise of its own."""
+    about = (channel.windows, channel.below(channel.raw(chosen)), channel.below(channel.every(chosen)))
+    prior, noises = prior_of(budget), (channel.balance.noise, choose_noise(*about, budget))
+    logs = []
+    for noise in noises:
+        log_determinant, chi2, _ = _restricted(*about, noise)
+        logs.append(_prior_log(noise, prior) - 0.5 * (log_determinant + chi2))
+    return 2.0 * max(logs[1] - logs[0], 0.0)
 
 
 def dynamics_causes(windows: Windows) -> tuple[list[Candidate], dict[str, str]]:

@@ -8,7 +8,15 @@ from functools import partial
 
 import numpy as np
 
-from fluxtwin.gap.channels.momentum import DYNAMICS, MomentumChannel, ahead_km, momentum_channel, orbit_of, ruled_out
+from fluxtwin.gap.channels.momentum import (
+    DYNAMICS,
+    MomentumChannel,
+    ahead_km,
+    gained,
+    momentum_channel,
+    orbit_of,
+    ruled_out,
+)
 from fluxtwin.gap.channels.momentum_arcs import Craft, Windows, arcs, windows
 from fluxtwin.gap.detectors.residual_structure import Structure
 from fluxtwin.gap.held_out.held_out import BLOCKS, Prediction
@@ -125,7 +133,10 @@ def _searched(
     search = begin(channel, list(channel.causes), tested_before=result.tested)
     path = run(search)
     lefts = [_left(search, fitted, torques) for fitted, _ in path]
-    explanations = weighed(search, path, lefts, [0.0] * len(path))
+    found = len(path) > 1 or lefts[0].structured
+    explanations = weighed(
+        search, path, lefts, [gained(channel, fitted.chosen, problem.budget) if found else 0.0 for fitted, _ in path]
+    )
     best, known, _ = likeliest(explanations)
     chosen = explanations[best]
     seen, hidden = smallest(search.first, search.tested)
@@ -134,7 +145,7 @@ def _searched(
     momentum = Momentum(
         named=_named(search, chosen.fit, chosen.beside.variance, known),
         known=known,
-        left=chosen.left,
+        left=chosen.left if chosen.fit.chosen or known < 0.5 else _NOTHING,
         untestable={**untestable, **{name: why for name, why in hidden.items() if name in _NAMES}},
         ranking=tuple(line for line in ranking(search) if line.name in _NAMES),
         isolability=search.first.isolability,

@@ -7,6 +7,7 @@ own, from recorded rows ten seconds apart.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -19,7 +20,7 @@ from worlds import scenario_text
 
 from fluxtwin import diagnosing, diagnosis_page
 from fluxtwin.gap.channels import momentum
-from fluxtwin.gap.channels.momentum import MomentumChannel, plain_torques, unresolved
+from fluxtwin.gap.channels.momentum import MomentumChannel, MomentumNoise, plain_torques, unresolved
 from fluxtwin.gap.channels.momentum_arcs import Arcs, Craft, Windows, _filled, arcs, windows
 from fluxtwin.gap.posterior.torques import Momentum, balanced
 from fluxtwin.gap.problem.problem import Budget, Problem, pose
@@ -308,6 +309,22 @@ def test_a_perfect_simulation_is_silent(name: str) -> None:
     # What is left is the attitude's error, 0.05 deg, of which a hundred rows or more tell the size to 15 %.
     assert (found.gap.before_deg, found.gap.floor_deg) == pytest.approx((0.05, 0.05), rel=0.15)
     assert found.gap.closed is None
+
+
+def test_what_is_noise_by_itself_is_no_torque(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Beside all possible causes at once a slow attitude error looks smaller and quicker than it is, and what is left of it
+    turned the body."""
+    telemetry, scenario = flown("bias", attitude__reference__tau_s=500.0)
+    choose = momentum.choose_noise
+
+    def too_small(windows: Windows, residual: np.ndarray, saturated: np.ndarray, budget: Budget) -> MomentumNoise:
+        noise = choose(windows, residual, saturated, budget)
+        beside_all = saturated.shape[2] > 12
+        return replace(noise, sigma_rad=0.5 * noise.sigma_rad, tau_s=60.0) if beside_all else noise
+
+    monkeypatch.setattr(momentum, "choose_noise", too_small)
+    found = alone(telemetry, scenario.updated({"attitude.reference.tau_s": 500.0}))
+    assert found.named == () and not found.unexplained
 
 
 CASES = {

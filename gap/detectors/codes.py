@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, cast
 
 import numpy as np
@@ -284,6 +284,7 @@ def stochastic_nT(findings: Sequence[Finding], noise: NoiseModel, declared_lsb_n
             extra += max(float(one.theta[0]) ** 2 - (declared_lsb_nT or 0.0) ** 2, 0.0) / 12.0
         elif one.name == "excess_noise":
             extra += max(noise.white_rms_nT**2 - noise.sigma_prior_nT**2, 0.0)
+        extra += one.hidden_nT**2
     stuck = sum(size_nT**2 for size_nT in _stuck_nT(findings))
     return float(np.sqrt(min(extra + stuck, stuck or noise.white_rms_nT**2)))
 
@@ -310,7 +311,7 @@ def floor_noise(findings: Sequence[Finding], noise: NoiseModel, budget: Budget) 
     if stuck:
         white = float(np.hypot(noise.sigma_prior_nT, max(stuck)))
     elif budget.noise_nT is not None and not louder:
-        white = noise.sigma_prior_nT
+        white = float(np.hypot(noise.sigma_prior_nT, max((one.hidden_nT for one in findings), default=0.0)))
     if budget.attitude_sigma_rad is not None:
         theta = budget.attitude_sigma_rad
     return white, theta
@@ -345,9 +346,11 @@ def in_the_readings(
             hidden = hidden_flips(reading[whole], difference[whole], lsb)
             any_bit = flipped is not None and flipped.confirmed and cast(BitErrors, flipped.effect).bit is None
             if hidden is not None and hidden[0].confirmed and not any_bit:
-                flipped = hidden[0]
+                turned, moved_nT = hidden
                 residual_nT = residual_nT.copy()
-                residual_nT[whole] -= hidden[1]
+                residual_nT[whole] -= moved_nT
+                energy = np.abs(moved_nT[~robust.cut[whole]]) * 2.0 ** (cast(BitErrors, turned.effect).bit or 0) * lsb
+                flipped = replace(turned, hidden_nT=float(np.sqrt(np.mean(energy))))
             findings.append(flipped)
     walks = any(one.name == "bias_random_walk" for one in found)
     if noise.sigma_prior_nT > 0 and not walks and not (stuck is not None and stuck.confirmed):

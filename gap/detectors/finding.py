@@ -37,6 +37,8 @@ class Finding:
     what: str = ""
     """What was found, in words."""
     faults: tuple[str, ...] = ()
+    hidden_nT: float = 0.0
+    """rms per component of what wrong readings have that the noise hides, and that are therefore not excluded."""
 
     @property
     def name(self) -> str:

@@ -360,6 +360,20 @@ def test_many_bits_that_flip_are_no_noise_though_few_of_them_stand_out(record: T
     assert rate.value == pytest.approx(hit.mean(), abs=4.0 * rate.sigma) and rate.sigma < 0.1 * rate.value
 
 
+def test_flips_that_the_noise_hides_are_named_and_counted_as_noise(record: Telemetry) -> None:
+    """One reading in forty has a bit of 80 nT turned round, four times its noise: few stand out, and the others stay in the
+    figures, in what is expected too."""
+    lsb_nT, bit, rng = 10.0, 3, np.random.default_rng(9)
+    code = np.rint(record.mag_B_nT / lsb_nT).astype(np.int64)
+    hit = rng.random(code.shape) < 1.0 / 40.0
+    found = asked(record.replace(mag_B_nT=lsb_nT * np.where(hit, code ^ (1 << bit), code)), DECLARED)
+    (bits,) = found.effects
+    assert (bits.name, bits.settings["bit"]) == ("bit_errors", bit), found.sentence
+    assert bits.parameters["rate"].value == pytest.approx(hit.mean(), abs=4.0 * bits.parameters["rate"].sigma)
+    assert found.gap.after_nT == pytest.approx(found.gap.floor_with_effects_nT, rel=0.05)
+    assert "excluded from the figures" not in found.sentence
+
+
 @pytest.mark.parametrize("with_scenario", [False, True])
 def test_the_roll_of_a_star_tracker_is_no_noise_of_the_magnetometer(with_scenario: bool) -> None:
     text = scenario_text(

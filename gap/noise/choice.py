@@ -480,6 +480,7 @@ def select_noise(
     if not image_nT.any():
         prior = replace(prior, theta_rad=0.0)  # nothing that an attitude error could act on
     weights = first_weights(residual_nT, design, there, reading_nT)
+    most_nT = prior.sigma_nT * float(np.exp(2.0 * prior.sigma_log_sd))
     like = _EVEN if prior.roll is None else replace(_EVEN, roll=prior.roll)
     whole = np.asarray(there.all(axis=1), dtype=np.bool_)
     choice: Choice | None = None
@@ -490,7 +491,7 @@ def select_noise(
         choice = best_noise(likelihood, None if choice is None else choice.noise)
         left = likelihood.left_nT(choice)
         filtered = likelihood.whitener(choice.noise, weights, covariance=True)
-        again, difference = spike_weights(left, filtered, there, reading_nT)
+        again, difference = spike_weights(left, filtered, there, most_nT, reading_nT)
         whitener = likelihood.whitener(choice.noise, again)
         uneven = replace(like, axis_factor=_axis_factor(whitener, left, like.axis_factor, whole))
         if uneven != like and like == _EVEN and prior.roll is None and prior.theta_rad != 0.0:

@@ -93,13 +93,17 @@ def with_clipped(weights: FloatArray, difference_nT: FloatArray, reading_nT: Flo
 
 
 def spike_weights(
-    left_nT: FloatArray, whitener: Whitener, there: BoolArray, reading_nT: FloatArray | None = None
+    left_nT: FloatArray,
+    whitener: Whitener,
+    there: BoolArray,
+    most_nT: float = np.inf,
+    reading_nT: FloatArray | None = None,
 ) -> tuple[FloatArray, FloatArray]:
     """Weights (N, 3) under a noise model, and each component less what all others predict for it [nT].
 
     left_nT (N, 3): residual after the fit; whitener: with the weights as they are now, and the state's covariance;
     there (N, 3): components that are measured. Those that are cut now are weighed like all others and may come back.
-    reading_nT (N, 3): as for `with_clipped`.
+    most_nT: white noise that the budget allows at the most; reading_nT (N, 3): as for `with_clipped`.
     """
     noise = whitener.noise
     own = np.ones(left_nT.shape) / noise.axis_variance(whitener.axes)
@@ -108,7 +112,7 @@ def spike_weights(
     filtered = (whitener.load, whitener.decay, whitener.gains, whitener.covariance, whitener.weights)
     kernels().predict_each(*filtered, own, scaled, standard, plain)
     # Many spikes make the noise look large: then its budget says what they stand out of, and the differences around them.
-    least = min(1.0, noise.sigma_prior_nT / noise.sigma_nT)
+    least = min(1.0, most_nT / noise.sigma_nT)
     plain_nT = plain * noise.sigma_nT
     return with_clipped(weights_of(standing_out(standard, least, there), there), plain_nT, reading_nT), plain_nT
 

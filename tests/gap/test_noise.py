@@ -428,6 +428,16 @@ def test_an_unmodelled_effect_is_not_cut_as_spikes() -> None:
         assert rows.cut_rows.sum() <= 3
 
 
+def test_noise_that_was_only_guessed_makes_no_spikes_of_what_kicks_now_and_then() -> None:
+    """Kicks in one row of seven over a quarter of each orbit, as over the aurora: what the quiet rows have is no budget."""
+    w = world(2000, 30.0, 20.0, 5e-4, 150.0, 45, columns=12)
+    rng, loud = np.random.default_rng(46), np.mod(w.seconds, 5700.0) < 1400.0
+    extra = 160.0 * (loud & (rng.random(2000) < 0.15))[:, None] * rng.choice([-1, 1], (2000, 3))
+    args = (w.residual + extra, [w.design], turn_images(w.field), w.seconds, w.segment)
+    guessed, declared = (select_noise(*args, NoisePrior(20.0, sd, 5e-4))[1].cut_rows.mean() for sd in (0.7, 0.1))
+    assert guessed < 0.01 < declared
+
+
 def test_at_most_a_tenth_of_the_rows_is_cut() -> None:
     distance = np.full((1000, 3), 1.0)
     distance[:400, 1] = np.linspace(7.0, 60.0, 400)

@@ -188,10 +188,6 @@ def weighed(
         whole = place + 1 < len(path) and _added(fit, path[place + 1][0]) == 1 and not lefts[place + 1].structured
         seen = max(beyond[place], left.drop) if whole else beyond[place]
         shaped = names + worth_of_shape(seen, explained[place], alone=whole)
-        if place and not left.structured and _added(path[place - 1][0], fit) == 1:
-            # What was found before, and this name does not take away, is its shape error in the same sense.
-            rest = max(lefts[place - 1].drop - (explained[place] - explained[place - 1]), 0.0)
-            shaped += worth_of_shape(rest, explained[place], alone=True)
         worth = max(shaped, names + gained[place]) - gained[0]
         unknown = -np.inf
         if left.structured and left.beyond(wider, samples) > LOG_FURTHER:

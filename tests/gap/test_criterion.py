@@ -105,20 +105,6 @@ def test_what_a_second_cause_takes_away_whole_is_not_the_first_one_s_shape(
     assert likeliest(explanations)[0] == names
 
 
-def test_what_a_large_second_cause_leaves_is_its_own_shape() -> None:
-    """Of 5,975 that were found beside a first cause, a second one takes away nine tenths, and what is left is within its
-    shape error; the first one's would have to be five times its usual size in that direction."""
-
-    def fit(chi2: float, chosen: int) -> Any:
-        return SimpleNamespace(chi2=chi2, rank_chosen=4 * chosen, chosen=[(Cause(str(n)), None) for n in range(chosen)])
-
-    under_way: Any = SimpleNamespace(tested=102, samples=2_800.0, base=fit(32_000.0, 0))
-    path: Any = [(fit(32_000.0, 0), None), (fit(14_600.0, 1), None), (fit(9_200.0, 2), None)]
-    lefts = [Structure(drop - 60.0, drop, "block", "", rank=9, log_tried=5.0) for drop in (17_500.0, 5_975.0)]
-    explanations = weighed(under_way, path, [*lefts, NOTHING], [0.0, 0.0, 0.0])
-    assert likeliest(explanations)[0] == 2
-
-
 def test_two_names_are_worth_the_same_by_whatever_way_the_search_came_to_them() -> None:
     """Two causes of one parameter each, found by way of a third of thirty: none of its parameters is in their price."""
     chi2 = {"": 9_000.0, "epoch": 7_000.0, "ring": 6_200.0, "cubic": 5_900.0, "epoch ring": 5_000.0}

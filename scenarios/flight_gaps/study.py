@@ -186,7 +186,8 @@ class Answer:
     @property
     def cut(self) -> BoolArray:
         """(N,) rows that were cut as spikes."""
-        return np.asarray(np.isnan(self.left_nT).any(axis=1))
+        assert self.found.series is not None and self.found.series.cut is not None
+        return self.found.series.cut
 
     @property
     def polar_steps_nT(self) -> FloatArray | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal, cast
 
 import numpy as np
@@ -185,12 +185,14 @@ def _mixture(moves_nT: Sequence[FloatArray], residual_nT: FloatArray, sigma_nT: 
     return _Mixture(rate, float(np.sum(slope**2)) ** -0.5, every, log_likelihood)
 
 
-def hidden_flips(reading_nT: FloatArray, residual_nT: FloatArray, lsb_nT: float) -> tuple[Finding, FloatArray] | None:
+def hidden_flips(
+    reading_nT: FloatArray, residual_nT: FloatArray, cut: BoolArray, lsb_nT: float
+) -> tuple[Finding, FloatArray] | None:
     """Is one bit of the codes turned in some readings, though few or none stand out of the noise? And what it added to
     each reading (N, 3), by its probability.
 
-    All (N, 3). A turned bit moves a reading up where the bit is set now, down where it is not: the likelihood of that is
-    set against noise alone, and against moves either way, as heavy tails make them.
+    All (N, 3); cut: the components that stand out. A turned bit moves a reading up where the bit is set now, down where it
+    is not: the likelihood of that is set against noise alone, and against moves either way, as heavy tails make them.
     """
     sigma_nT = np.maximum(_scatter(residual_nT), lsb_nT / np.sqrt(12.0))
     largest = float(np.nanmax(np.abs(residual_nT)))
@@ -209,9 +211,9 @@ def hidden_flips(reading_nT: FloatArray, residual_nT: FloatArray, lsb_nT: float)
     drop, bit, flips, moved_nT = best
     value = worth(max(drop, 0.0), 1, float(np.isfinite(residual_nT).sum()), float(np.log(len(bits))))
     what = f"bit {bit} is turned in {100 * flips.rate:.2g} % of the readings"
-    return Finding(
-        BitErrors(bit, "flip", lsb_nT), np.array([flips.rate]), np.array([flips.sigma]), value, what
-    ), moved_nT
+    hidden_nT = 2.0**bit * lsb_nT * float(np.sqrt(np.mean(flips.share[~cut])))
+    size = (np.array([flips.rate]), np.array([flips.sigma]))
+    return Finding(BitErrors(bit, "flip", lsb_nT), *size, value, what, hidden_nT=hidden_nT), moved_nT
 
 
 def _scatter(residual_nT: FloatArray) -> FloatArray:
@@ -342,15 +344,14 @@ def in_the_readings(
         findings.append(stuck)
         if stuck is None:
             difference = residual_nT if robust.difference_nT is None else robust.difference_nT
-            flipped = flipped_bits(reading[whole], difference[whole], robust.cut[whole], lsb)
-            hidden = hidden_flips(reading[whole], difference[whole], lsb)
+            codes = (reading[whole], difference[whole], robust.cut[whole], lsb)
+            flipped = flipped_bits(*codes)
             any_bit = flipped is not None and flipped.confirmed and cast(BitErrors, flipped.effect).bit is None
-            if hidden is not None and hidden[0].confirmed and not any_bit:
-                turned, moved_nT = hidden
+            hidden = None if any_bit else hidden_flips(*codes)
+            if hidden is not None and hidden[0].confirmed:
+                flipped, moved_nT = hidden
                 residual_nT = residual_nT.copy()
                 residual_nT[whole] -= moved_nT
-                energy = np.abs(moved_nT[~robust.cut[whole]]) * 2.0 ** (cast(BitErrors, turned.effect).bit or 0) * lsb
-                flipped = replace(turned, hidden_nT=float(np.sqrt(np.mean(energy))))
             findings.append(flipped)
     walks = any(one.name == "bias_random_walk" for one in found)
     if noise.sigma_prior_nT > 0 and not walks and not (stuck is not None and stuck.confirmed):

@@ -301,11 +301,7 @@ def _alternatives(work: Work, one: FoundEffect) -> tuple[SignalEffect, ...]:
     names = {*one.group, *(name for name, _ in one.rivals)} - {other.name for other in result.named}
     own = {one.name} if one.name != "saturation" else set()
     found = [candidate.effect for candidate in result.candidates if candidate.name in names | own]
-    near = (
-        []
-        if one.effect is None
-        else [one.effect.between(work.problem.setting, r) for r in (RATIOS[1], 1.0 / RATIOS[1])]
-    )
+    near = [one.effect and one.effect.between(work.problem.setting, step) for step in (RATIOS[1], 1.0 / RATIOS[1])]
     beside = [effect for effect in near if isinstance(effect, SignalEffect)]
     return tuple(effect for effect in (*beside, *found) if effect != one.effect)
 

@@ -208,9 +208,8 @@ def _closed(effects: Sequence[FoundEffect], gap: Shrinkage, momentum: MomentumGa
             f"{which} leave{s} the readings unchanged and lower{s} the misfit of the attitude to the momentum balance from "
             f"{momentum.before_deg:.2g} to {momentum.after_deg:.2g} deg{share}"
         )
-    hidden = (
-        f"{gap.floor_with_effects_nT:.1f}" != f"{gap.floor_nT:.1f}"
-    )  # wrong readings that the noise hides are not excluded
+    # Wrong readings that the noise hides are not excluded, and raise what is expected.
+    hidden = f"{gap.floor_with_effects_nT:.1f}" != f"{gap.floor_nT:.1f}"
     if all(effect.name == "bit_errors" for effect in effects) and not hidden:
         return "; the wrong readings are excluded from the figures before and after"
     if gap.closed is None:

@@ -292,14 +292,15 @@ def test_flips_are_found_that_do_not_stand_out_of_the_noise(bench: Bench, bit: i
     reading, predicted = _codes(bench, lsb, 8)
     hit, code = rng.random(reading.shape) < rate, np.rint(reading / lsb).astype(int)
     turned = lsb * np.where(hit, code ^ (1 << bit), code)
-    found = hidden_flips(turned, turned - predicted, lsb)
+    none = np.zeros(reading.shape, dtype=bool)
+    found = hidden_flips(turned, turned - predicted, none, lsb)
     assert found is not None
     assert found[0].confirmed and found[0].effect.bit == bit
     assert abs(found[0].theta[0] - rate) < 4 * found[0].sigma[0]
     assert np.corrcoef(found[1][hit], (turned - reading)[hit])[0, 1] > 0.5
     spikes = lsb * np.where(hit, code + rng.choice([-1, 1], code.shape) * (1 << bit), code)
     for other in (reading, spikes, lsb * np.rint((predicted + SIGMA_NT * rng.standard_t(4, code.shape)) / lsb)):
-        assert (one := hidden_flips(other, other - predicted, lsb)) is None or not one[0].confirmed
+        assert (one := hidden_flips(other, other - predicted, none, lsb)) is None or not one[0].confirmed
 
 
 @pytest.mark.parametrize("bit", [2, 5, 9])

@@ -24,7 +24,7 @@ from fluxtwin.gap.law.words import beside_names
 from fluxtwin.gap.linear.projection import ProjectedResidual, projected
 from fluxtwin.gap.noise.choice import NoiseModel, choose_noise, complete_budget, likely_noises, prior_of, whitener_of
 from fluxtwin.gap.noise.whitening import with_walk
-from fluxtwin.gap.posterior.explanations import Answer, noise_and_answer, without_names
+from fluxtwin.gap.posterior.explanations import Answer, Parameters, noise_and_answer, without_names
 from fluxtwin.gap.posterior.structured import Structured
 from fluxtwin.gap.posterior.torques import balanced
 from fluxtwin.gap.posterior.where import where
@@ -204,14 +204,15 @@ def investigate(
     answer = noise_and_answer(problem, dictionary, known)
     again = _beside_the_names(problem, answer)
     if again is not problem:
+        earlier = _in_terms_of(again, problem, answer.fitted)
         problem, known = again, candidates(again)
         dictionary = Dictionary(blocks(problem), problem.rows)
-        answer = noise_and_answer(problem, dictionary, known)
+        answer = noise_and_answer(problem, dictionary, known, earlier)
     if problem.free_attitude_error and answer.left.structured:
         steady = blocks(problem, perturbed=PerturbedDesign(problem, parts_of(answer.noise.theta_rad)))
         if len(steady) < len(dictionary.found):  # the others are made of the error that is found beside the names
             dictionary = Dictionary(steady, problem.rows)
-            answer = noise_and_answer(problem, dictionary, known)
+            answer = noise_and_answer(problem, dictionary, known, answer.fitted)
     progress("residual structure, and where", 0.75)
     fast = None if whole is None else full_rate(whole, problem, answer.result.modelled, answer.result.chosen)
     waveforms = Structured(problem, dictionary, known)
@@ -270,6 +271,13 @@ def _beside_the_names(problem: Problem, answer: Answer) -> Problem:
         beside = [*(result.modelled if found is problem else found.modelled_active), *result.chosen]
         found = realigned(found, beside=beside)
     return found
+
+
+def _in_terms_of(again: Problem, problem: Problem, fitted: Parameters) -> Parameters:
+    """Parameters of a problem's fits where it has been set anew: what is modelled stands where the new one has it."""
+    if again.setting.instrument is problem.setting.instrument:
+        return fitted
+    return {key: [*again.modelled_active, *active[len(problem.modelled) :]] for key, active in fitted.items()}
 
 
 def _minimum_detectable(problem: Problem, answer: Answer) -> dict[str, Detectable]:

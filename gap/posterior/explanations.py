@@ -7,8 +7,8 @@ noise that suits it best: a slow attitude error may be what another takes for a 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any
 
@@ -42,6 +42,8 @@ from fluxtwin.sim.effects.chain import Active
 
 Known = tuple[list[Candidate], dict[str, str]]
 """What `candidates` gives for a problem."""
+Parameters = Mapping[frozenset[str], Sequence[Active]]
+"""Of sets of effects that were fitted, by their labels."""
 _Searched = tuple[Search[Readings], dict[str, str], list[tuple[Fit, Board]]]
 """A search, names that cannot be tested with the reason, and the path that it took."""
 ROUNDS = 2
@@ -105,6 +107,8 @@ class Answer:
     """Twice the log likelihood that another noise model gives to an explanation without names."""
     shapes: tuple[Finding, ...] = ()
     """Causes that are known by their own shape: a line, a sequence, a region in the dark, a walk."""
+    fitted: Parameters = field(default_factory=dict)
+    """All that was fitted on the way."""
 
 
 def weighed_with(
@@ -114,14 +118,16 @@ def weighed_with(
     dictionary: Dictionary,
     known: Known,
     shapes: Sequence[Finding],
+    earlier: Parameters,
 ) -> Weighed:
     """The search under one whitening, beside shapes: those that are signals are fitted in every test."""
-    return _weighed(robust, _searched(_beside(problem, signals_of(shapes)), whitener, known), dictionary, ())
+    searched = _searched(_beside(problem, signals_of(shapes)), whitener, known, earlier)
+    return _weighed(robust, searched, dictionary, ())
 
 
-def _searched(problem: Problem, whitener: Whitener, known: Known) -> _Searched:
+def _searched(problem: Problem, whitener: Whitener, known: Known, earlier: Parameters | None = None) -> _Searched:
     found, untestable = known
-    under_way = begin(Readings(problem, whitener), found)
+    under_way = begin(Readings(problem, whitener), found, earlier=earlier)
     return under_way, untestable, run(under_way)
 
 
@@ -141,7 +147,7 @@ def concluded(problem: Problem, robust: RobustRows, found: Weighed, shapes: tupl
     whitener = under_way.channel.whitener
     result = result_of(under_way, untestable, chosen.fit, chosen.beside, len(problem.modelled))
     alone, (_, fitted) = problem.derivatives(result.modelled_alone), found.left(problem, shapes)
-    rest = (chosen.left, found.known, found.worth, found.handicap, shapes)
+    rest = (chosen.left, found.known, found.worth, found.handicap, shapes, under_way.parameters)
     return Answer(whitener.noise, robust, whitener, result, alone, fitted, *rest)
 
 
@@ -238,7 +244,9 @@ def log_likelihood(
     return 2.0 * density - whitener.log_det - projected(whitener, residual_nT, columns).energy
 
 
-def noise_and_answer(problem: Problem, dictionary: Dictionary, known: Known) -> Answer:
+def noise_and_answer(
+    problem: Problem, dictionary: Dictionary, known: Known, earlier: Parameters | None = None
+) -> Answer:
     """The noise beside what is modelled, the answer under it; then the noise beside the named effects too, and the answer
     under that, in turn until the names stay.
 
@@ -246,14 +254,15 @@ def noise_and_answer(problem: Problem, dictionary: Dictionary, known: Known) -> 
     make up any slow error of the attitude, and what they leave would be taken for all there is.
     """
     first = choice = choose_noise(problem)
-    searched = _searched(problem, whitener_of(problem, choice.noise, choice.robust.weights), known)
+    searched = _searched(problem, whitener_of(problem, choice.noise, choice.robust.weights), known, earlier)
     for _ in range(ROUNDS):
         fit = searched[2][-1][0]
         if not fit.chosen:
             break
         choice = noise_beside(problem, fit.active)
+        earlier = searched[0].parameters
         del searched  # there is room for one
-        searched = _searched(problem, whitener_of(problem, choice.noise, choice.robust.weights), known)
+        searched = _searched(problem, whitener_of(problem, choice.noise, choice.robust.weights), known, earlier)
         if {effect for effect, _ in searched[2][-1][0].chosen} == {effect for effect, _ in fit.chosen}:
             break
     others = [] if choice is first else [first.noise]

@@ -83,7 +83,7 @@ class Structured:
                 break
             answer = more
         for one in answer.shapes[:-1]:  # what was found first may be a piece of what was found after it
-            fewer = self.given([other for other in answer.shapes if other is not one])
+            fewer = self.given([other for other in answer.shapes if other is not one], answer)
             if not fewer.left.structured and len(fewer.result.named) <= len(answer.result.named):
                 answer = fewer
         return answer
@@ -96,7 +96,7 @@ class Structured:
             for bare in (True, False) if named and answer.known < 0.5 else (False,):
                 finding = self._signal(answer, bare=bare)
                 if finding is not None:
-                    more = self.given([*answer.shapes, finding])
+                    more = self.given([*answer.shapes, finding], answer)
                     return self._merged(more) if isinstance(finding.effect, HeaterSwitching) else more
         stepped = any(one.name in _LIKE_A_WALK for one in named)
         if not walks and (answer.left.structured or len(named) > 1 or stepped):
@@ -148,7 +148,7 @@ class Structured:
             found = heater_sequence(setting, rest, residual, columns, fits, line, start)
             if found is not None and found.confirmed and (cost := self._cost(rest, found) - saved) < least:
                 best, least = [*shapes, found], cost
-        merged = answer if best is None else self.given(best)
+        merged = answer if best is None else self.given(best, answer)
         fewer_causes = len(merged.result.named) + len(merged.shapes) < len(result.named) + len(answer.shapes)
         return self._merged(merged) if fewer_causes else answer
 
@@ -179,15 +179,15 @@ class Structured:
         # Where a thermostat cycles, a region is found too: some of its cycles.
         yield from sorted(switched, key=lambda one: 0.0 if one is None else -one.worth)
 
-    def given(self, shapes: Sequence[Finding]) -> Answer:
-        """Effects sought afresh given these shapes."""
+    def given(self, shapes: Sequence[Finding], before: Answer) -> Answer:
+        """Effects sought afresh given these shapes; before: the answer without."""
         # A line was noise to the first choice.
         noise, robust = choose_noise(self.problem, self.problem.derivatives(signals_of(shapes)))
         whitener = whitener_of(self.problem, noise, robust.weights)
         for one in shapes:
             if one.name == _WALK:
                 whitener = with_walk(whitener, float(one.theta[0]))
-        found = weighed_with(self.problem, robust, whitener, self.dictionary, self.known, shapes)
+        found = weighed_with(self.problem, robust, whitener, self.dictionary, self.known, shapes, before.fitted)
         return concluded(self.problem, robust, found, tuple(shapes))
 
     def _walking(self, answer: Answer) -> Answer | None:
@@ -254,7 +254,7 @@ class Structured:
     ) -> _Walk | None:
         """A walk in this noise and the effects given it; rate: a first guess."""
         whitener = whitener_of(self.problem, noise, answer.robust.weights)
-        about = (self.dictionary, self.known, answer.shapes)
+        about = (self.dictionary, self.known, answer.shapes, answer.fitted)
         for _ in range(3):
             if rate is None:
                 return None
@@ -287,7 +287,8 @@ class Structured:
             left = projected(whitener, answer.result.residual_nT, answer.fitted_nT)
             setting = self.problem.setting
             longer = wheel_line(setting, left, line_near(setting.seconds, left, fast.line.frequency_Hz))
-            return self.given([*answer.shapes, longer if longer is not None and longer.confirmed else wheel])
+            longer_or_not = longer if longer is not None and longer.confirmed else wheel
+            return self.given([*answer.shapes, longer_or_not], answer)
         if answer.left.structured and answer.left.kind != "tone":
             return answer  # but a slower line may be this one, seen in some rows only
         words = f"a line at a period of {1 / fast.line.frequency_Hz:.3g} s, in the full rate"

@@ -8,7 +8,7 @@ the one criterion, with prior 1/K for each effect among K alternatives tested.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Generic, TypeVar
 
@@ -22,6 +22,7 @@ from fluxtwin.gap.selection.score import Board, board, whitened
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.base import Effect, SignalEffect
 from fluxtwin.sim.effects.calibration import Step
+from fluxtwin.sim.effects.chain import Active
 from fluxtwin.sim.effects.signal import Setting
 
 LARGEST = 3
@@ -31,6 +32,9 @@ NONLINEAR = 0.2
 """A candidate is refitted if its linear score comes within the first, or this share, of the best: so much of a drop may be
 lost by taking a large effect as linear (8 % of a clock 10 s late, whose linear image is made of an attitude with errors of
 its own). Generous, because what it costs is at most four refits."""
+BEGINS = 2
+"""Fits of some of the effects that a refit of all begins from: a lag may be no help beside a late clock, and a clock one
+beside a lag."""
 _ALIKE = 1  # decimals of a cost: where causes are alike to rounding, that of the catalogue's order comes first
 RATIOS = (1.5, 1.25, 1.12)
 """By which a setting is moved to either side, between the few values of it that were tried."""
@@ -54,6 +58,8 @@ class Search(Generic[OfChannel]):
     tested_before: int
     """Alternatives tested in other channels."""
     fits: dict[frozenset[str], Fit] = field(default_factory=dict)
+    earlier: Mapping[frozenset[str], Sequence[Active]] = field(default_factory=dict)
+    """Parameters of sets that were fitted in another noise: near those in this one."""
 
     def same_cause(self, numbers: Sequence[int]) -> bool:
         """Whether two of these candidates are one cause under two names."""
@@ -69,20 +75,38 @@ class Search(Generic[OfChannel]):
         return samples_of(self.channel.measured)
 
     def fit(self, numbers: Sequence[int], start: Sequence[FloatArray]) -> Fit:
-        """The refit of these candidates; each set is fitted once."""
+        """The refit of these candidates, from the best fit of some of them; each set is fitted once."""
         key = frozenset(self.found[number].label for number in numbers)
         if key not in self.fits:
             chosen = [(self.found[number].effect, theta) for number, theta in zip(numbers, start, strict=True)]
-            self.fits[key] = refit(self.channel, chosen, modelled=self.base.modelled, guess=self._image(numbers))
+            begins: list[tuple[Sequence[Active], FloatArray | None]]
+            if key in self.earlier:
+                begins = [(self.earlier[key], None)]
+            else:
+                parts = sorted((fit for some, fit in self.fits.items() if some < key), key=lambda one: one.chi2)
+                begins = [(part.active, self._image(part, numbers)) for part in (parts or [self.base])[:BEGINS]]
+            modelled = self.base.modelled
+            fits = [refit(self.channel, chosen, modelled=modelled, near=near, guess=guess) for near, guess in begins]
+            self.fits[key] = min(fits, key=lambda one: one.chi2)
         return self.fits[key]
 
-    def _image(self, numbers: Sequence[int]) -> FloatArray:
-        """(M, 3, c + p) whitened Jacobian of what is modelled and of these candidates at the base."""
-        parts = [self.base.jacobian]
+    @property
+    def parameters(self) -> Mapping[frozenset[str], Sequence[Active]]:
+        """Of all sets that were fitted, here or earlier."""
+        return {**self.earlier, **{key: fit.active for key, fit in self.fits.items()}}
+
+    def _image(self, fit: Fit, numbers: Sequence[int]) -> FloatArray:
+        """(M, 3, c + p) whitened Jacobian of what is modelled and of these candidates: that of a fit, or at the base."""
+        modelled = sum(len(theta) for _, theta in fit.modelled)
+        own = {effect: where for (effect, _), where in zip(fit.chosen, fit.slices(), strict=True)}
+        parts = [fit.jacobian[:, :, :modelled]]
         for number in numbers:
-            live = self.found[number].live
-            part = np.zeros((*self.white.shape[:2], live.size))
-            part[:, :, live] = self.white[:, :, self.first.owner == number]
+            candidate = self.found[number]
+            if candidate.effect in own:
+                parts.append(fit.jacobian[:, :, own[candidate.effect]])
+                continue
+            part = np.zeros((*self.white.shape[:2], candidate.live.size))
+            part[:, :, candidate.live] = self.white[:, :, self.first.owner == number]
             parts.append(part)
         return np.concatenate(parts, axis=2)
 
@@ -118,7 +142,12 @@ class Search(Generic[OfChannel]):
         return [next(n for n, c in enumerate(self.found) if c.effect == effect) for effect, _ in fit.chosen]
 
 
-def begin(channel: OfChannel, found: list[Candidate], tested_before: int = 0) -> Search[OfChannel]:
+def begin(
+    channel: OfChannel,
+    found: list[Candidate],
+    tested_before: int = 0,
+    earlier: Mapping[frozenset[str], Sequence[Active]] | None = None,
+) -> Search[OfChannel]:
     """Fit what is modelled, and score every candidate beside it, with those that its residual points to."""
     base = refit(channel)
     steps = {c.name: c.effect for c in found if isinstance(c.effect, Step)}.values()
@@ -126,7 +155,7 @@ def begin(channel: OfChannel, found: list[Candidate], tested_before: int = 0) ->
     found = [*found, *(channel.candidate(effect, base.modelled) for effect in jumps)]
     white = whitened(found, channel, base.residual.shape[0])
     first = _first(channel, found, white, base)
-    return Search(channel, found, base, first, white, first.same, tested_before)
+    return Search(channel, found, base, first, white, first.same, tested_before, earlier=earlier or {})
 
 
 def _first(channel: Channel, found: Sequence[Candidate], white: FloatArray, base: Fit) -> Board:

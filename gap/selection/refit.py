@@ -135,23 +135,31 @@ def refit(
     chosen: Sequence[Active] = (),
     *,
     modelled: Sequence[Active] | None = None,
+    near: Sequence[Active] = (),
     guess: FloatArray | None = None,
 ) -> Fit:
     """Minimise the whitened chi-square over the parameters of all modelled and chosen effects, within their ranges.
 
-    chosen, modelled: effects with starting values (modelled: the channel's own by default). guess (M, 3, c + p): about
-    the whitened Jacobian, to begin with. A Jacobian whose step did what it promised is used once more; the last one
-    is recomputed.
+    chosen, modelled: effects with starting values (modelled: the channel's own by default). near: where another fit has
+    some of them; begun from there, without the others, unless none of the chosen is better still. guess (M, 3, c + p):
+    about the whitened Jacobian there. A Jacobian whose step did what it promised is used once more; the last one is
+    recomputed.
     """
     modelled = channel.modelled if modelled is None else modelled
     count, active = len(modelled), [*modelled, *chosen]
-    vector = _packed(active)
     low, high = limits(active)
-    start = np.clip(vector, low, high)
+    start = np.clip(_packed(active), low, high)
     vector = start.copy()
     vector[sum(len(theta) for _, theta in modelled) :] = 0.0
     residual = channel.residual(_unpacked(active, vector))
     chi2 = float(np.sum(residual**2))
+    if near:
+        there = _packed([(effect, _of(near, effect, np.full(len(theta), np.nan))) for effect, theta in active])
+        begin = np.clip(np.where(np.isnan(there), vector, there), low, high)
+        rest = channel.residual(_unpacked(active, begin))
+        if (chi2_there := float(np.sum(rest**2))) < chi2:
+            vector, residual, chi2 = begin, rest, chi2_there
+            start = np.where(np.isnan(there), start, begin)
     if (start != vector).any():
         # From nothing, so that no fit ends worse than without: a clip is anything but linear.
         better = _search_line(channel, active, vector, start - vector, (low, high), chi2)
@@ -278,6 +286,10 @@ def _unpacked(active: Sequence[Active], vector: FloatArray) -> list[Active]:
     return [
         (effect, np.array(vector[end - len(theta) : end])) for (effect, theta), end in zip(active, ends, strict=True)
     ]
+
+
+def _of(active: Sequence[Active], wanted: object, otherwise: FloatArray) -> FloatArray:
+    return next((theta for effect, theta in active if effect == wanted), otherwise)
 
 
 def limits(active: Sequence[Active]) -> tuple[FloatArray, FloatArray]:

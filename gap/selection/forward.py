@@ -198,8 +198,11 @@ def _sharper(search: Search[Any], fit: Fit) -> tuple[Fit, Board]:
     for number in range(len(start.chosen)):
         while (moved := _neighbour(search, setting, fit, number)) is not fit:
             fit = moved
-    pairs = zip(fit.chosen, start.chosen, strict=True)
-    new = [mine for (mine, _), (old, _) in pairs if isinstance(mine, SignalEffect) and mine != old]
+    for effect, theta in fit.chosen:
+        fit = _as_suggested(search, setting, fit, effect, theta)
+    old = [effect for effect, _ in start.chosen]
+    new = [effect for effect, _ in fit.chosen if isinstance(effect, SignalEffect) and effect not in old]
+    new += [one for effect, theta in fit.chosen if effect in new for one in effect.suggested(setting, theta)]
     # What else may have happened at that moment: tried only beside it, another kind of step would seem worse than it is.
     kinds = {c.name: c.effect for c in search.found if isinstance(c.effect, Step)}
     moments = [one for one in new if isinstance(one, Step)]
@@ -207,6 +210,19 @@ def _sharper(search: Search[Any], fit: Fit) -> tuple[Fit, Board]:
     if new:
         search.add(new, fit)
     return fit, search.beside(fit)
+
+
+def _as_suggested(search: Search[Any], setting: Setting, fit: Fit, effect: Effect, theta: FloatArray) -> Fit:
+    """The fit with what one of its effects suggests in its place, and in that of one of that name, if it is worth more."""
+    for other in effect.suggested(setting, theta):
+        kept = [pair for pair in fit.chosen if pair[0] != effect and pair[0].name != other.name]
+        chosen = [*kept, (other, np.zeros(len(other.parameters)))]
+        trial = refit(search.channel, chosen, modelled=search.base.modelled, near=[*fit.modelled, *kept])
+        while (moved := _neighbour(search, setting, trial, len(kept))) is not trial:
+            trial = moved
+        if search.cost(trial, search.first.variance) < search.cost(fit, search.first.variance):
+            fit = trial
+    return fit
 
 
 def _neighbour(search: Search[Any], setting: Setting, fit: Fit, number: int) -> Fit:

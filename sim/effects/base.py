@@ -146,6 +146,10 @@ class Effect(ABC):
         """The effect with one more setting of which `alternatives` tries one value only."""
         return ()
 
+    def suggested(self, setting: Setting, theta: FloatArray) -> tuple[SignalEffect, ...]:
+        """Effects with fewer parameters that may be what was found with these, or other names for it."""
+        return ()
+
     @property
     def bound(self) -> str | None:
         """Why its parameters say nothing of another record, in words; None when they do."""

@@ -20,6 +20,8 @@ ArrayKind = Literal["zenith", "tracking", "constant"]
 """A panel on the -z face, an array that turns about y, or a current that only shadow cuts."""
 PanelKind = Literal[ArrayKind, "balance"]
 """These, or what the battery says."""
+Face = tuple[float, float, float]
+"""Outward normal of a panel that is fixed to the body, body axes."""
 
 TIME_CONSTANTS_S = (300.0, 900.0, 2700.0)
 """Thermal time constants tried where no temperature was recorded: a boom's sensor to one inside the body."""
@@ -34,7 +36,7 @@ def lit(setting: Setting) -> FloatArray:
     return setting.illumination if column is None else column
 
 
-def array_current_A(setting: Setting, panel: PanelKind) -> FloatArray:
+def array_current_A(setting: Setting, panel: PanelKind | Face) -> FloatArray:
     """(N,) recorded current of the solar array, else that of an array of 1 A in full sun."""
     column = known_column(setting, "array_current_A")
     if column is not None:
@@ -45,7 +47,10 @@ def array_current_A(setting: Setting, panel: PanelKind) -> FloatArray:
         battery = known_column(setting, "battery_current_A")
         return lit(setting) if battery is None else battery
     sun_B, known = sun_in_body(setting)
-    shape = Panel((0.0, 0.0, -1.0), 1.0) if panel == "zenith" else Panel((0.0, 1.0, 0.0), 1.0, tracks=True)
+    if isinstance(panel, tuple):
+        shape = Panel(panel, 1.0)
+    else:
+        shape = Panel((0.0, 0.0, -1.0), 1.0) if panel == "zenith" else Panel((0.0, 1.0, 0.0), 1.0, tracks=True)
     cosine = incidence_cosine(sun_B, shape)
     if not known.all():
         seen = known & (lit(setting) > 0.5)
@@ -55,9 +60,24 @@ def array_current_A(setting: Setting, panel: PanelKind) -> FloatArray:
 
 def panels_that_show(setting: Setting) -> tuple[ArrayKind, ...]:
     """The panels worth trying where no current of the array was recorded: those whose current changes."""
-    # Where no incidence is known all are alike. Panels on every face would be named for causes of other kinds.
+    # Where no incidence is known all are alike. Panels on every face would be named for causes of other kinds: another
+    # face is tried only where a field that follows the sun's direction has shown it.
     kinds: tuple[ArrayKind, ...] = get_args(ArrayKind) if sun_in_body(setting)[1].any() else ("constant",)
     return tuple(kind for kind in kinds if varies(array_current_A(setting, kind)))
+
+
+def faces_beside(panel: Face) -> tuple[Face, ...]:
+    """Faces tilted from one by 20, 10 and 5 degrees, to four sides each."""
+    normal = np.array(panel)
+    across = np.linalg.svd(normal[None, :])[2][1:]
+    tilts = np.tan(np.radians([20.0, 10.0, 5.0]))
+    return tuple(face(normal + tilt * side) for tilt in tilts for side in (*across, *-across))
+
+
+def face(normal: FloatArray) -> Face:
+    """The face of this normal (3,), to a thousandth."""
+    x, y, z = np.round(normal / np.linalg.norm(normal), 3).tolist()
+    return x, y, z
 
 
 def sun_in_body(setting: Setting) -> tuple[FloatArray, BoolArray]:
@@ -72,7 +92,7 @@ def sun_in_body(setting: Setting) -> tuple[FloatArray, BoolArray]:
     return sun_B, known
 
 
-def battery_current_A(setting: Setting, panel: ArrayKind = "constant") -> FloatArray:
+def battery_current_A(setting: Setting, panel: ArrayKind | Face = "constant") -> FloatArray:
     """(N,) recorded current of the battery, positive when charging; else that of the array, but for a constant load; else
     that of an array of 2 A in full sun less a load of 1 A."""
     for name in ("battery_current_A", "array_current_A"):

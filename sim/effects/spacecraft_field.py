@@ -11,9 +11,12 @@ from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.effects.base import MATRIX, Parameter, SpacecraftField, held, known_column, mapped, vector_parameters
 from fluxtwin.sim.effects.drivers import (
     ArrayKind,
+    Face,
     PanelKind,
     array_current_A,
     battery_current_A,
+    face,
+    faces_beside,
     followed,
     lit,
     panels_that_show,
@@ -27,6 +30,14 @@ _PANELS = {
     "tracking": "array that turns about y",
     "constant": "array that always faces the sun",
 }
+
+
+def _in_words(panel: PanelKind | Face) -> str:
+    if isinstance(panel, tuple):
+        return f"panel that faces ({', '.join(f'{one:.2f}' for one in panel)}) in body axes"
+    return _PANELS[panel]
+
+
 TYPICAL_NT = 100.0
 """A usual field of whatever a column records."""
 
@@ -57,8 +68,8 @@ class SolarArrayCurrent(SpacecraftField):
 
     Without the column `array_current_A` the current is that of an array of 1 A in full sun, so the parameter
     is the field in full sun: `panel` says whether it sits on the -z face (zenith), tracks about the y axis, or
-    gives a constant current in sunlight. Where the battery's current was recorded, the array's may be that and a
-    constant load (balance).
+    gives a constant current in sunlight, or is the outward normal of a fixed panel. Where the battery's current was
+    recorded, the array's may be that and a constant load (balance).
     """
 
     name = "solar_array_current"
@@ -69,7 +80,7 @@ class SolarArrayCurrent(SpacecraftField):
         "full sun [nT], on the panel that is assumed (RAX: Springmann & Cutler 2012, doi 10.2514/1.56726; CryoSat-2: Olsen "
         "et al. 2020)"
     )
-    panel: PanelKind = "zenith"
+    panel: PanelKind | Face = "zenith"
 
     parameters = vector_parameters("s", "nT/A", 20.0)
 
@@ -82,6 +93,13 @@ class SolarArrayCurrent(SpacecraftField):
             choices += (balance,)
         return choices or (self,)
 
+    def variants(self, setting: Setting) -> tuple[SolarArrayCurrent, ...]:
+        return tuple(map(SolarArrayCurrent, faces_beside(self.panel))) if isinstance(self.panel, tuple) else ()
+
+    def suggested(self, setting: Setting, theta: FloatArray) -> tuple[SpacecraftField, ...]:
+        battery = BatteryCurrent(self.panel) if isinstance(self.panel, tuple) else None
+        return (battery,) if battery is not None and battery.stands_in(setting) else ()
+
     def condition_on(self, setting: Setting) -> str | None:
         recorded = self.panel == "balance" or setting.column("array_current_A") is not None
         return self.follows if recorded else "sunlit"
@@ -92,7 +110,7 @@ class SolarArrayCurrent(SpacecraftField):
     def stands_in(self, setting: Setting) -> str:
         if self.panel == "balance" or known_column(setting, "array_current_A") is not None:
             return ""
-        return f"in full sun on an assumed {_PANELS[self.panel]}, as no current was recorded"
+        return f"in full sun on an assumed {_in_words(self.panel)}, as no current was recorded"
 
     def untestable(self, setting: Setting) -> str | None:
         values = self.values(setting)
@@ -127,6 +145,13 @@ class StrayField(SpacecraftField):
         direction, known = sun_in_body(setting)
         return np.where(known[:, None], direction * lit(setting)[:, None], 0.0)
 
+    def suggested(self, setting: Setting, theta: FloatArray) -> tuple[SpacecraftField, ...]:
+        """One panel on the face, of two that are opposite, whose incidence the field follows best."""
+        if known_column(setting, "array_current_A") is not None:
+            return ()
+        normal = np.linalg.svd(theta.reshape(3, 3))[2][0]
+        return SolarArrayCurrent(face(normal)), SolarArrayCurrent(face(-normal))
+
     def untestable(self, setting: Setting) -> str | None:
         return None if self.values(setting).any() else "the sun is never seen, or its direction in the body never known"
 
@@ -148,7 +173,7 @@ class BatteryCurrent(SpacecraftField):
         "field in full sun [nT], on the panel that is assumed, and -s that in shadow (CryoSat-2: Olsen et al. 2020, doi "
         "10.1186/s40623-020-01171-9)"
     )
-    panel: ArrayKind = "constant"
+    panel: ArrayKind | Face = "constant"
 
     parameters = vector_parameters("s", "nT/A", 20.0)
 
@@ -167,7 +192,7 @@ class BatteryCurrent(SpacecraftField):
     def stands_in(self, setting: Setting) -> str:
         known = any(known_column(setting, name) is not None for name in ("battery_current_A", "array_current_A"))
         words = (
-            f"in full sun on an assumed {_PANELS[self.panel]}, and the opposite in shadow, as no current was recorded"
+            f"in full sun on an assumed {_in_words(self.panel)}, and the opposite in shadow, as no current was recorded"
         )
         return "" if known else words
 

@@ -137,7 +137,7 @@ def _weighed(robust: RobustRows, searched: _Searched, dictionary: Dictionary, ot
     lefts = structures_left(under_way, [fit for fit, _ in path], dictionary)
     gained = _gained(under_way, [fit for fit, _ in path], others, robust)
     explanations = weighed(under_way, path, lefts, gained)
-    best, share, total = likeliest(explanations)
+    best, share, total = likeliest(explanations, under_way.same)
     return Weighed(searched, explanations[best], share, total, gained[0])
 
 
@@ -151,11 +151,11 @@ def concluded(problem: Problem, robust: RobustRows, found: Weighed, shapes: tupl
     return Answer(whitener.noise, robust, whitener, result, alone, fitted, *rest)
 
 
-def likeliest(explanations: Sequence[Explanation]) -> tuple[int, float, float]:
+def likeliest(explanations: Sequence[Explanation], same: Mapping[str, Sequence[str]]) -> tuple[int, float, float]:
     """The explanation that weighs most, the probability that nothing unknown is there, and the most worth."""
     logs = np.array([[one.worth, one.unknown] for one in explanations])
     for place, (one, more) in enumerate(pairwise(explanations)):
-        if _added(one.fit, more.fit) == 1 and not np.isfinite(more.unknown):
+        if _added(same, one.fit, more.fit) == 1 and not np.isfinite(more.unknown):
             logs[place, 1] = -np.inf  # the catalogue has it
     if not np.max(logs) > THRESHOLD:
         return 0, 1.0, float(np.max(logs))
@@ -166,9 +166,10 @@ def likeliest(explanations: Sequence[Explanation]) -> tuple[int, float, float]:
     return int(np.argmax(named[:, column])), known, float(np.max(logs))
 
 
-def _added(one: Fit, more: Fit) -> int:
-    """How many effects a fit has that another has not, in whatever settings."""
-    return len({effect.name for effect, _ in more.chosen} - {effect.name for effect, _ in one.chosen})
+def _added(same: Mapping[str, Sequence[str]], one: Fit, more: Fit) -> int:
+    """How many causes a fit has that another has not, in whatever settings. same: names that imitate each other."""
+    known = {name for effect, _ in one.chosen for name in (effect.name, *same.get(effect.name, ()))}
+    return len({effect.name for effect, _ in more.chosen} - known)
 
 
 def weighed(
@@ -181,17 +182,21 @@ def weighed(
     for place in reversed(range(len(path) - 1)):
         # What one more name explains is better known by its refit than by the finding that led to it.
         further = explained[place + 1] - explained[place] + beyond[place + 1]
-        one_more = _added(path[place][0], path[place + 1][0]) == 1
+        one_more = _added(under_way.same, path[place][0], path[place + 1][0]) == 1
         beyond[place] = further if one_more else max(beyond[place], further)
     found: list[Explanation] = []
     names = 0.0
     for place, ((fit, beside), left) in enumerate(zip(path, lefts, strict=True)):
         if place:
             before = path[place - 1][0]
-            names = _worth_of_names(under_way, fit, names if _added(before, fit) == 1 else None, before)
+            names = _worth_of_names(under_way, fit, names if _added(under_way.same, before, fit) == 1 else None, before)
         wider = 1.0 + SHAPE * explained[place]
         # What one more name takes away whole is in its direction alone.
-        whole = place + 1 < len(path) and _added(fit, path[place + 1][0]) == 1 and not lefts[place + 1].structured
+        whole = (
+            place + 1 < len(path)
+            and _added(under_way.same, fit, path[place + 1][0]) == 1
+            and not lefts[place + 1].structured
+        )
         seen = max(beyond[place], left.drop) if whole else beyond[place]
         shaped = names + worth_of_shape(seen, explained[place], alone=whole)
         worth = max(shaped, names + gained[place]) - gained[0]

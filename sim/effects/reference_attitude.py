@@ -86,7 +86,7 @@ class HorizonScannerBias(SignalEffect):
     follows = "latitude"
     settled_by = "a second attitude sensor, in addition to the scanner"
     about = (
-        "reported roll and pitch are each too large by a sin(latitude) + b cos(2 latitude) of the geocentric latitude, "
+        "reported roll and pitch (3-1-2) are each too large by a sin(lat) + b cos(2 lat) of the geocentric latitude, "
         "with two parameters a, b each: the Earth's 15-micron radiance depends on latitude and season (Wertz 1978, "
         "section 4.2; Phenneger et al. 1985: 0.05-0.2 deg); a constant part would be absorbed by S"
     )
@@ -99,8 +99,15 @@ class HorizonScannerBias(SignalEffect):
         latitude = signal.setting.latitude_rad
         shapes = np.stack([np.sin(latitude), np.cos(2.0 * latitude)], axis=1)
         roll, pitch = shapes @ np.radians(theta[:2]), shapes @ np.radians(theta[2:])
-        # A larger angle turns the axes one way, so it turns the vectors the other way.
-        return signal.attitude_reported_turned(-np.stack([roll, pitch, np.zeros_like(roll)], axis=1), "nadir_B")
+        about_y = pitch[:, None] * np.array([0.0, 1.0, 0.0])
+        # A larger angle turns the axes one way, so it turns the vectors the other way. Pitch is the last of the rotations.
+        if signal.setting.direction == "simulate":
+            turned = signal.attitude_reported_turned(
+                -roll[:, None] * _roll_axis_B(signal.R_reported_BN, signal), "nadir_B"
+            )
+            return turned.attitude_reported_turned(-about_y, "nadir_B")
+        turned = signal.attitude_reported_turned(-about_y, "nadir_B")
+        return turned.attitude_reported_turned(-roll[:, None] * _roll_axis_B(turned.R_BN, signal), "nadir_B")
 
 
 @dataclass(frozen=True)
@@ -210,6 +217,14 @@ class AttitudeLag(SignalEffect):
 def _nadir_B(R_BN: Rotation, r_N_km: FloatArray) -> FloatArray:
     """(N, 3) unit vectors to the Earth's centre, body axes."""
     return np.asarray(R_BN.apply(-r_N_km / np.linalg.norm(r_N_km, axis=1)[:, None]))
+
+
+def _roll_axis_B(R_BN: Rotation, signal: Signal) -> FloatArray:
+    """(N, 3) unit axis about which roll turns in a 3-1-2 set, body axes: across pitch and nadir; x where those are one."""
+    nadir = _nadir_B(R_BN, signal.setting.given[0])
+    across = np.cross(np.array([0.0, 1.0, 0.0]), nadir)
+    length = np.linalg.norm(across, axis=1)[:, None]
+    return np.where(length > 0.0, across / np.where(length > 0.0, length, 1.0), np.array([1.0, 0.0, 0.0]))
 
 
 def _leans(setting: Setting) -> bool:

@@ -118,7 +118,7 @@ def weighed_with(
     dictionary: Dictionary,
     known: Known,
     shapes: Sequence[Finding],
-    earlier: Parameters,
+    earlier: Parameters | None = None,
 ) -> Weighed:
     """The search under one whitening, beside shapes: those that are signals are fitted in every test."""
     searched = _searched(_beside(problem, signals_of(shapes)), whitener, known, earlier)

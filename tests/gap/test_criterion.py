@@ -96,13 +96,13 @@ def test_what_a_second_cause_takes_away_whole_is_not_the_first_one_s_shape(
     def fit(chi2: float, chosen: int) -> Any:
         return SimpleNamespace(chi2=chi2, rank_chosen=3 * chosen, chosen=[(Cause(str(n)), None) for n in range(chosen)])
 
-    under_way: Any = SimpleNamespace(tested=105, samples=600.0, base=fit(12_000.0, 0))
+    under_way: Any = SimpleNamespace(tested=105, samples=600.0, base=fit(12_000.0, 0), same={})
     boom = Structure(worth=90.0, drop=found, kind="block", words="", rank=3, log_tried=5.0)
     more = Structure(worth=30.0, drop=60.0, kind="block", words="", rank=6, log_tried=5.0)
     path: Any = [(fit(12_000.0, 0), None), (fit(2_100.0, 1), None), (fit(1_992.0, 2), None)]
     lefts = [Structure(9_000.0, 9_900.0, "block", "", rank=3, log_tried=5.0), boom, more if structured else NOTHING]
     explanations = weighed(under_way, path, lefts, [0.0, 0.0, 0.0])
-    assert likeliest(explanations)[0] == names
+    assert likeliest(explanations, {})[0] == names
 
 
 def test_two_names_are_worth_the_same_by_whatever_way_the_search_came_to_them() -> None:
@@ -119,7 +119,7 @@ def test_two_names_are_worth_the_same_by_whatever_way_the_search_came_to_them() 
         )
 
     class UnderWay:
-        tested, samples, base = 105, 600.0, fitted("")
+        tested, samples, base, same = 105, 600.0, fitted(""), dict[str, tuple[str, ...]]()
 
         def numbers(self, of: Any) -> list[int]:
             return [["epoch", "ring"].index(cause.name) for cause, _ in of.chosen]
@@ -154,7 +154,7 @@ def test_the_explanation_that_weighs_most_is_taken(
         SimpleNamespace(worth=w, unknown=u, fit=SimpleNamespace(chosen=[(Cause(str(n)), None)] * n))
         for n, (w, u) in enumerate(zip(worths, unknowns, strict=True))
     ]
-    place, share, most = likeliest(explanations)
+    place, share, most = likeliest(explanations, {})
     assert place == best and share == pytest.approx(known, abs=1e-9)
     assert most == max(*worths, *unknowns)
 
@@ -170,7 +170,23 @@ def test_what_the_catalogue_explains_is_nothing_unknown_though_a_setting_was_ref
         SimpleNamespace(worth=9_550.0, unknown=9_570.0, fit=SimpleNamespace(chosen=clock)),
         SimpleNamespace(worth=9_560.0, unknown=-np.inf, fit=SimpleNamespace(chosen=both)),
     ]
-    place, known, _ = likeliest(explanations)
+    place, known, _ = likeliest(explanations, {})
+    assert place == 2 and known > 0.99
+
+
+def test_what_the_catalogue_explains_is_nothing_unknown_though_the_first_cause_has_another_of_its_names() -> None:
+    """Where no battery was recorded, its current is that of the array: which of the two is named is chance."""
+    explanations: Any = [
+        SimpleNamespace(worth=0.0, unknown=1_200.0, fit=SimpleNamespace(chosen=[])),
+        SimpleNamespace(worth=1_950.0, unknown=2_210.0, fit=SimpleNamespace(chosen=[(Cause("battery"), None)])),
+        SimpleNamespace(
+            worth=2_060.0,
+            unknown=-np.inf,
+            fit=SimpleNamespace(chosen=[(Cause("array"), None), (Cause("eddy"), None)]),
+        ),
+    ]
+    same = {"battery": ("battery", "array"), "array": ("array", "battery"), "eddy": ("eddy",)}
+    place, known, _ = likeliest(explanations, same)
     assert place == 2 and known > 0.99
 
 
@@ -182,7 +198,7 @@ def test_a_probability_is_never_above_one() -> None:
             SimpleNamespace(worth=w, unknown=-np.inf, fit=SimpleNamespace(chosen=[(Cause(str(n)), None)] * n))
             for n, w in enumerate([0.0, *rng.uniform(50.0, 60.0, 5)])
         ]
-        _, known, _ = likeliest(explanations)
+        _, known, _ = likeliest(explanations, {})
         assert 0.0 <= known <= 1.0
         assert 0.9 < still_known(known, 0.0) < 0.97  # one in twenty looks like an effect and is none
 

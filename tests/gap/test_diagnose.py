@@ -115,6 +115,20 @@ def test_a_panel_whose_current_was_not_recorded_is_array_or_battery(name):
     assert abs(in_full_sun - 2.0 * 250.0) < 4.0 * sigma < 0.5 * in_full_sun, "2 A in full sun"
 
 
+@pytest.mark.parametrize("name", ["solar_array_current", "battery_current"])
+def test_a_tilted_panel_whose_current_was_not_recorded_is_found_by_the_way_the_field_follows_the_sun(name):
+    normal = np.array([0.8, -0.35, 0.5]) / np.linalg.norm([0.8, -0.35, 0.5])
+    power = f"[power]\nfull_sun_current_A = 2.0\nload_A = 0.7\nnormal_B = {normal.round(6).tolist()}\n"
+    record = telemetry("tumble", f"{power}[effects.{name}]\ns_nT_per_A = [250.0, -170.0, 120.0]")
+    result = diagnosed(record.replace(array_current_A=None, battery_current_A=None))
+    (effect,) = result.effects
+    assert {*effect.group} == {"solar_array_current", "battery_current"}, result.sentence
+    off_deg = np.degrees(np.arccos(normal @ effect.settings["panel"]))
+    assert off_deg < 5.0, "the finest tilt that is tried"
+    in_full_sun, sigma = effect.parameters["s_x"].value, effect.parameters["s_x"].sigma
+    assert abs(in_full_sun - 2.0 * 250.0) < 4.0 * sigma < 0.5 * in_full_sun, "2 A in full sun"
+
+
 @pytest.mark.parametrize(
     ("rise_degC", "beside", "names"),
     [

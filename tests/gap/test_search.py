@@ -7,6 +7,7 @@ attitude error with a memory), at a size that leaves 25 nT rms beside the best r
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from functools import cache
 from types import SimpleNamespace
 from typing import Any
@@ -41,7 +42,7 @@ from fluxtwin.sim.effects.calibration import BiasStep
 from fluxtwin.sim.effects.catalogue import find_effect
 from fluxtwin.sim.effects.chain import Active, jacobian
 from fluxtwin.sim.effects.clock_and_orbit import TimeTagOffset
-from fluxtwin.sim.effects.response import Hysteresis, Saturation
+from fluxtwin.sim.effects.response import Hysteresis, Saturation, SensorLag
 from fluxtwin.sim.effects.switched_field import SwitchedField
 from fluxtwin.sim.run.simulate import simulate
 from fluxtwin.sim.scenario.scenario import parse_scenario
@@ -437,3 +438,27 @@ def test_no_fit_ends_worse_than_without_the_effect(flown_nT: float) -> None:
     for depth_nT in (500.0, 8000.0, 45_000.0):
         fit = refit(data, [(clip, np.array([depth_nT]))])
         assert fit.chi2 <= refit(data).chi2 + 1e-6
+
+
+class Counted(Readings):
+    """Counts what takes the time of a refit."""
+
+    jacobians = 0
+
+    def jacobian(self, active: Sequence[Active]) -> FloatArray:
+        Counted.jacobians += 1
+        return super().jacobian(active)
+
+
+def test_a_refit_near_another_is_the_same_for_less() -> None:
+    """A lag of a tenth of a turn is far from linear."""
+    here, lag = design("tumble"), SensorLag()
+    data = Counted(here.data([(lag, np.array([40.0]))], seed=6), here.whitener)
+    Counted.jacobians = 0
+    first = refit(data, [(lag, np.array([1.0]))])
+    made, Counted.jacobians = Counted.jacobians, 0
+    again = refit(data, [(lag, np.array([1.0]))], near=first.active)
+    assert Counted.jacobians < 0.5 * made
+    assert abs(again.chi2 - first.chi2) < 0.02, "a hundredth is left to chance on either way"
+    worse = [(effect, theta + 1e5) if effect is not lag else (effect, theta) for effect, theta in first.active]
+    assert abs(refit(data, [(lag, np.array([1.0]))], near=worse).chi2 - first.chi2) < 0.02, "begun without the lag"

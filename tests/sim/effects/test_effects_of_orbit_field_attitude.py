@@ -240,14 +240,16 @@ def reported_angles_deg(setting, effect, theta):
     return np.degrees(np.array(pairs[0]) - np.array(pairs[1]))
 
 
-def test_horizon_scanner_bias_makes_reported_roll_and_pitch_too_large(close):
-    setting = setting_at(np.arange(0.0, 6000.0, 30.0))
+@pytest.mark.parametrize("lean_rad", [0.0, 0.4])
+def test_horizon_scanner_bias_makes_reported_roll_and_pitch_too_large(lean_rad, close):
+    """Angles add in the 3-1-2 set, however far the body leans."""
+    setting = setting_at(np.arange(0.0, 6000.0, 30.0), R_BO=Rotation.from_rotvec([lean_rad, -lean_rad, -0.5]))
     latitude = np.arcsin(setting.R_EN.apply(setting.given[0])[:, 2] / np.linalg.norm(setting.given[0], axis=1))
     yaw, roll, pitch = reported_angles_deg(setting, HorizonScannerBias(), [0.1, 0.05, -0.2, 0.3])
-    because = "two small turns commute to 0.15 x 0.5 deg / 57 = 0.0013 deg"
-    close(roll, 0.1 * np.sin(latitude) + 0.05 * np.cos(2 * latitude), atol=0.0013, unit="deg", because=because)
-    close(pitch, -0.2 * np.sin(latitude) + 0.3 * np.cos(2 * latitude), atol=0.0013, unit="deg", because=because)
-    close(yaw, 0.0, atol=0.0013, unit="deg", because=because)
+    because = "exact turns about the roll axis, then about pitch"
+    close(roll, 0.1 * np.sin(latitude) + 0.05 * np.cos(2 * latitude), atol=1e-9, unit="deg", because=because)
+    close(pitch, -0.2 * np.sin(latitude) + 0.3 * np.cos(2 * latitude), atol=1e-9, unit="deg", because=because)
+    close(yaw, 0.0, atol=1e-9, unit="deg", because=because)
     assert np.abs(roll).max() > 0.05
 
 
@@ -271,14 +273,20 @@ def test_yaw_drift_about_body_z_turns_the_attitude_about_body_z(close):
     assert np.abs(pitch).max() > 0.5
 
 
-@pytest.mark.parametrize("axis", ["nadir", "body_z"])
-def test_yaw_drift_predicts_what_it_simulates(axis, close):
+@pytest.mark.parametrize(
+    ("effect", "theta"),
+    [
+        (YawDrift(axis="nadir"), [20.0]),
+        (YawDrift(axis="body_z"), [20.0]),
+        (HorizonScannerBias(), [1.5, -2.0, 3.0, 1.0]),
+    ],
+)
+def test_an_error_of_the_reported_angles_predicts_what_it_simulates(effect, theta, close):
     """From the reported attitude back to the true one."""
-    effect, rate = YawDrift(axis=axis), np.array([20.0])
     setting = setting_at(np.arange(0.0, 7201.0, 30.0), R_BO=Rotation.from_rotvec([0.4, -0.4, -0.5]))
-    signal = Chain(setting).simulated([(effect, rate)], seed=0)
+    signal = Chain(setting).simulated([(effect, np.array(theta))], seed=0)
     reported = setting_at(setting.seconds, R_BO=signal.R_reported_BN * setting.R_ON.inv(), direction="predict")
-    found = Chain(reported).signal([(effect, rate)]).R_BN
+    found = Chain(reported).signal([(effect, np.array(theta))]).R_BN
     error = np.degrees((found * signal.R_BN.inv()).magnitude())
     close(error, 0.0, atol=1e-9, unit="deg", because="the same turn, the other way")
 

@@ -435,7 +435,7 @@ def test_a_waveform_is_taken_out_where_a_later_one_leaves_nothing_for_it(
 
     found = iter([answer("line"), answer("line", "sequence"), None])
     monkeypatch.setattr(Structured, "_one_more", lambda *_: next(found))
-    monkeypatch.setattr(Structured, "given", lambda _, shapes: answer(*shapes))
+    monkeypatch.setattr(Structured, "given", lambda _, shapes, before: answer(*shapes))
     nothing: Any = SimpleNamespace()
     assert Structured(nothing, nothing, nothing).among(answer()).shapes == (
         ("line", "sequence") if needed else ("sequence",)

@@ -76,7 +76,7 @@ def tables(summary: dict[str, Any]) -> list[Table]:
         rows.append([name, plain(one["pull_rms"], 2), share])
     if rows:
         note = "Over the calibrated runs. No calibration models the effects that were drawn, so they add to its errors."
-        columns = ["parameter", "rms of error / sigma", "within 1.96 sigma (95 % wanted)"]
+        columns = ["parameter", "rms of error / sigma", "within 1.96 sigma (95 % expected)"]
         found.append(Table("Whether the stated sigmas hold", columns, rows, note))
     if summary["false_names"]:
         rows = [[name, str(count)] for name, count in summary["false_names"].items()]

@@ -103,13 +103,13 @@ def clean(text: str) -> str:
 
 
 def shown(value: object) -> str:
-    """One cell as text: floats with four significant digits, None blank, yes and no for bool."""
+    """One cell as text: floats with four significant digits, large ones in full units, None blank, yes and no for bool."""
     if value is None:
         return ""
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, float):
-        return f"{value:.4g}" if abs(value) < 1e4 else f"{value:.1f}"
+        return f"{value:.4g}" if abs(value) < 1e4 else f"{value:.0f}"
     return clean(str(value))
 
 

@@ -325,7 +325,7 @@ def _far(diagnosis: Diagnosis, record: Telemetry | None) -> PageSection:
                 dots += " Crosses: rows set aside, against the prediction of their neighbours. Arrows: values beyond."
         gap = FigureBlock("gap_series", dots, gap_series(series, aside_nT))
         figures = [*field, gap, *figures, FigureBlock("gap_spectra", spectra, draw_spectra(series))]
-    return PageSection("How far it shrinks", [], [far_table(diagnosis), *momentum_tables(diagnosis)], figures)
+    return PageSection("How much of it is closed", [], [far_table(diagnosis), *momentum_tables(diagnosis)], figures)
 
 
 def _residual_aside(rows: Telemetry, residual_nT: FloatArray, aside: BoolArray) -> FloatArray:

@@ -22,7 +22,7 @@ def pointing_envelope(time: TimeArray, around_deg: Sequence[FloatArray], *, titl
     figure, ((axes,),) = style.figure(style.FULL_WIDTH_IN, 3.6)
     axes.fill_between(time, low_deg, high_deg, color=style.SKY, alpha=0.45, linewidth=0, label="5 to 95 %")
     axes.plot(time, median_deg, color=style.BLUE, linewidth=1.4, label="median")
-    axes.plot(time, max_deg, color=style.VERMILION, linewidth=0.9, linestyle="--", label="worst of that moment")
+    axes.plot(time, max_deg, color=style.VERMILION, linewidth=0.9, linestyle="--", label="worst at each time")
     if low_deg.min() > 0.0:
         axes.set_yscale("log")
         style.log_ruler(axes.yaxis)

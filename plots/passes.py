@@ -191,7 +191,7 @@ def draw_heads(hours: FloatArray, error_deg: FloatArray, head: np.ndarray, *, ti
         mine = head == number
         axes.plot(hours[mine], error_deg[mine], marker, color=colour, markersize=3, label=f"head {number}")
     axes.axhline(0.0, color=style.BLACK, linewidth=0.8)
-    style.label(axes, x="hours from the first sample [h]", y="measured less computed [deg]", title=title)
+    style.label(axes, x="time from the first sample [h]", y="measured minus computed [deg]", title=title)
     axes.set_ylim(top=1.45 * float(np.nanmax(error_deg)))
     axes.legend(loc="upper right", frameon=True, ncols=3, markerscale=2)
     return figure
@@ -218,7 +218,7 @@ def draw_night_map(
             edge: dict[str, Any] = {"edgecolor": colour, "linestyle": line, "linewidth": 4.0 if line == "-" else 1.8}
             axes.add_patch(Rectangle((west, south), east - west, north - south, fill=False, label=label, **edge))
     style.coast(axes)
-    figure.colorbar(shown, ax=axes, label="|B| less model [nT]")
+    figure.colorbar(shown, ax=axes, label="|B| minus model [nT]")
     style.label(axes, x="longitude [deg]", y="latitude [deg]", title=title)
     axes.set(xlim=(-180, 180), ylim=(-75, 85))
     axes.legend(loc="lower left", frameon=True)

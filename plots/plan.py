@@ -36,7 +36,7 @@ def power_on(axes: Axes, question: Question) -> Axes:
     axes.set_xlim(left=0.0)
     names: Sequence[str] = question.names
     title = f"{' or '.join(names)}?" if len(names) > 1 else f"{names[0]}: there or not?"
-    style.label(axes, x="hours flown [h]", y="probability of the right answer [%]", title=title)
+    style.label(axes, x="time flown [h]", y="probability of the right answer [%]", title=title)
     return axes
 
 
@@ -58,7 +58,7 @@ def sigma_on(axes: Axes, plan: CalibrationPlan) -> Axes:
     style.log_ruler(axes.yaxis)
     axes.set_xlim(left=0.0)
     y, title = f"sigma of {plan.worst} [{plan.unit}]", f"What halves the sigma of {plan.worst}?"
-    style.label(axes, x="hours flown [h]", y=y, title=title)
+    style.label(axes, x="time flown [h]", y=y, title=title)
     return axes
 
 

@@ -39,7 +39,7 @@ def command(
 ) -> None:
     """Say which manoeuvre within the limits settles what a diagnosis leaves open: hours, power, what each answer means.
 
-    Exit status 1 where nothing is open, or no manoeuvre helps.
+    Exit status 1 if nothing is open, or if no manoeuvre helps.
     """
     with output.progress(f"reading {telemetry}") as progress:
         from fluxtwin import outputs, plan_page, planning

@@ -33,7 +33,7 @@ def command(
     reading: of.Reading = of.READING,
     **options: Any,
 ) -> None:
-    """Test whether calibrations agree within their sigmas; say which parameter changed when, or drifts, and what it costs.
+    """Test whether calibrations agree within their sigmas; say which parameter changed when, or drifts, and its effect.
 
     Exit status 0 if they agree, 1 if not.
     """

@@ -27,6 +27,7 @@ from fluxtwin.calib.checks.report import Finding, named, note, trap
 from fluxtwin.calib.checks.sample import FEWEST, Sample
 from fluxtwin.calib.checks.unit import SMALLEST_MISFIT_nT
 from fluxtwin.calib.checks.values import GAP_STEPS
+from fluxtwin.calib.common.observability import listed
 from fluxtwin.sim.base.errors import OutOfRange
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import epoch, frames
@@ -347,21 +348,21 @@ def _what_shows(shows: dict[float, bool], shifts: dict[float, str], plain: Itera
     elif origin.position == "ITRS":
         meant = "Earth-fixed positions are kept"
     else:
-        meant = "GCRS positions are kept, the Earth turns under them"
+        meant = "GCRS positions are kept while the Earth turns under them"
     said: dict[str, list[str]] = {"would show": [], "would not show": [], "cannot be tested": []}
     for shift, words in ((s, shifts[s]) for s in sorted(shifts) if 1.0 < s < 1800.0 or s in (3600.0, 86400.0)):
         sides = [shows[side] for side in (shift, -shift) if side in shows]
         seen = "cannot be tested" if len(sides) < 2 else "would show" if all(sides) else "would not show"
         what = "" if shift >= 3600.0 else f" ({words.split()[0]})"
         said[seen].append(f"{shift_words(shift)}{what}")
-    listed = [f"shifts of {', '.join(some)} {seen} here" for seen, some in said.items() if some]
+    parts = [f"shifts of {listed(some)} {seen} here" for seen, some in said.items() if some]
     hidden = [abs(shift) for shift in plain if not shows.get(shift, False)]
     greatest = max(map(abs, plain))
     apart = shift_words(min(map(abs, plain)))
     tried = f". The other shifts that were tried, up to {shift_words(greatest)} in steps of {apart}, would "
     words = f"{tried}show if they were longer than {shift_words(max(hidden))}" if hidden else f"{tried}all show"
     words = "" if hidden and max(hidden) >= min(3600.0, greatest) else words
-    shown = "; ".join(listed)
+    shown = "; ".join(parts)
     return note("clock_tested", meant=meant, shifts=f"{shown[:1].upper()}{shown[1:]}", others=words)
 
 

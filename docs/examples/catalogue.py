@@ -301,7 +301,7 @@ These are the {count} effects that may happen in reality and that a simulation m
 (`python docs/examples/catalogue.py` writes this page; `fluxtwin effects NAME` prints a section for a scenario). Zero means
 that the effect is absent. The first lines of each list have the keys of `[effects.NAME]` in a
 [scenario](scenario.md#effectsname): number of components in brackets, typical size, at which the search begins, and
-physical range if it has ends. Then follow the frame in which the effect is constant, and the quantity that it follows.
+physical range if it is limited. Then follow the frame in which the effect is constant, and the quantity that it follows.
 
 *Looks like* is the share of an effect's signature that another effect can imitate, with `bias` and `scale_misalignment`
 fitted as well, if it is {alike:.0f} % or more. It follows from the design alone, before any data, here for one cubesat over

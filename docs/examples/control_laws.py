@@ -13,12 +13,10 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-import matplotlib
-
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.axes import Axes
 
+from fluxtwin.plots import style
 from fluxtwin.sim.attitude.record import ephemeris_rate_O_rad_s
 from fluxtwin.sim.earth import epoch, frames
 from fluxtwin.sim.earth.field import load_field
@@ -199,64 +197,62 @@ def tumbler() -> tuple[Flight, str]:
 
 def draw(flights: dict[str, Flight], path: Path) -> None:
     """Six panels: what each law does to what it is for, and what its torquers do."""
-    figure, axes = plt.subplots(3, 2, figsize=(8, 8), layout="constrained")
-    biases = (
-        ("signs", "-", flights["momentum bias, signs"]),
-        ("components", "--", flights["momentum bias, components"]),
-    )
-    for use, style, flight in biases:
-        hours = flight.seconds_s / 3600
-        angles = angles_deg(flight)
-        for column, label in ((0, "yaw"), (1, "roll")):
-            axes[0, 0].plot(hours, angles[:, column], style, lw=0.8, label=f"{label}, {use}")
-        axes[0, 1].semilogy(hours, nutation_deg(flight), style, lw=0.8, label=use)
-        axes[1, 0].plot(hours[SETTLED:], excess_Nms(flight)[SETTLED:], style, lw=0.8, label=f"momentum bias, {use}")
-    axes[0, 0].set(title="momentum bias: attitude", ylabel="angle [deg]")
-    axes[0, 1].set(title="momentum bias: nutation", ylabel="nutation [deg]")
+    figure, grid = style.figure(7.2, 8.0, 3, 2)
+    (attitude, nutation), (wheels, spin), (rate, torquers) = grid
+    for use, line, ink in (
+        ("signs", "-", (style.BLUE, style.VERMILION)),
+        ("components", "--", (style.SKY, style.ORANGE)),
+    ):
+        flight = flights[f"momentum bias, {use}"]
+        hours, angles = flight.seconds_s / 3600, angles_deg(flight)
+        for column, name in ((0, "yaw"), (1, "roll")):
+            attitude.plot(hours, angles[:, column], line, color=ink[column], lw=0.9, label=f"{name}, {use}")
+        nutation.semilogy(hours, nutation_deg(flight), line, color=ink[0], lw=0.9, label=use)
+    style.label(attitude, title="momentum bias: attitude", y="angle [deg]")
+    style.label(nutation, title="momentum bias: nutation", y="nutation [deg]")
     flight = flights["three axes"]
-    for column, label in enumerate("xyz"):
-        momentum_Nms = 0.1 * flight.wheel_speed_rad_s[:, column]
-        axes[1, 0].plot(
-            flight.seconds_s[SETTLED:] / 3600, momentum_Nms[SETTLED:], ":", lw=1.0, label=f"three axes, {label}"
-        )
-    axes[1, 0].set(title="wheels beyond their bias", ylabel="momentum [N m s]")
+    for column, name in enumerate("xyz"):
+        momentum_Nms = 0.1 * flight.wheel_speed_rad_s[SETTLED:, column]
+        wheels.plot(flight.seconds_s[SETTLED:] / 3600, momentum_Nms, ("-", "--", ":")[column], lw=0.9, label=name)
+    style.label(wheels, title="three axes: wheels", y="momentum [N m s]")
     flight = flights["spin"]
-    axis, nutation = spin_errors_deg(flight)
-    axes[1, 1].plot(flight.seconds_s / 3600, axis, lw=0.8, label="axis from the orbit normal")
-    axes[1, 1].plot(flight.seconds_s / 3600, nutation, lw=0.8, label="nutation")
-    axes[1, 1].set(title="spin", ylabel="angle [deg]")
+    for size, line, name in zip(
+        spin_errors_deg(flight), ("-", "--"), ("axis to orbit normal", "nutation"), strict=True
+    ):
+        spin.plot(flight.seconds_s / 3600, size, line, lw=1.2, label=name)
+    style.label(spin, title="spin", y="angle [deg]")
     flight = flights["B-dot"]
-    rate_deg_s = np.degrees(np.linalg.norm(flight.rate_B_rad_s, axis=1))
-    axes[2, 0].semilogy(flight.seconds_s / 3600, rate_deg_s, lw=0.8, label="size of the rate")
-    axes[2, 0].set(title="B-dot", ylabel="rate [deg/s]", yticks=[0.1, 0.3, 1.0, 3.0])
-    axes[2, 0].yaxis.set_major_formatter("{x:g}")
-    axes[2, 0].yaxis.set_minor_formatter("")
-    for axis in axes.flat[:5]:
-        axis.set_xlabel("time [h]")
-    draw_duty(axes[2, 1], flights)
-    axes[0, 0].set_ylim(-6.5, 8.5)  # room for the legends
-    axes[0, 1].set_ylim(5e-5, 2.0)
-    axes[1, 0].set_ylim(-1.1, 2.4)
-    for axis in axes.flat:
-        axis.grid(alpha=0.3)
-        axis.legend(fontsize=8, loc="upper right", handlelength=1.5)
+    rate.semilogy(flight.seconds_s / 3600, np.degrees(np.linalg.norm(flight.rate_B_rad_s, axis=1)), lw=1.2)
+    rate.set(yticks=[0.1, 0.3, 1.0, 3.0])
+    rate.yaxis.set_major_formatter("{x:g}")
+    rate.yaxis.set_minor_formatter("")
+    style.label(rate, title="B-dot", y="body rate [deg/s]")
+    draw_duty(torquers, flights)
+    attitude.set_ylim(-6.5, 9.5)  # room for the legends
+    nutation.set_ylim(5e-5, 2.0)
+    wheels.set(ylim=(-1.1, 1.1), yticks=[-1.0, -0.5, 0.0, 0.5, 1.0])
+    spin.set(yticks=range(0, 21, 5))
+    for panel, columns in ((attitude, 2), (nutation, 2), (wheels, 3), (spin, 1), (torquers, 3)):
+        style.legend(panel, "upper right", columns=columns)
+    for panel in (attitude, nutation, wheels, spin, rate):
+        style.label(panel, x="time [h]")
     figure.savefig(path, dpi=140)
 
 
-def draw_duty(axes: Any, flights: dict[str, Flight]) -> None:
-    """Bars: share of the time on, and the mean dipole beside the most that a torquer can do."""
+def draw_duty(axes: Axes, flights: dict[str, Flight]) -> None:
+    """Bars: share of the time on, and the mean dipole relative to the most that a torquer can do."""
     names = list(flights)
-    for number, label in enumerate("xyz"):
-        on = [100 * duty_shares(flights[name])[0][number] for name in names]
-        mean = [100 * duty_shares(flights[name])[1][number] / MOST_AM2[name] for name in names]
+    for number, (name, colour) in enumerate(zip("xyz", style.AXIS_COLOURS, strict=True)):
+        on = [100 * duty_shares(flights[law])[0][number] for law in names]
+        mean = [100 * duty_shares(flights[law])[1][number] / MOST_AM2[law] for law in names]
         places = np.arange(len(names)) + 0.27 * (number - 1)
-        axes.bar(places, on, 0.25, color=f"C{number}", alpha=0.35)
-        axes.bar(places, mean, 0.25, color=f"C{number}", label=f"torquer {label}")
-    axes.set_xticks(range(len(names)), [name.replace("momentum bias, ", "bias,\n") for name in names], fontsize=8)
-    axes.set_title("torquers: time on (pale), mean dipole (full)", fontsize=10)
-    axes.set_ylabel("share [%]")
-    axes.set_ylim(0, 160)  # room for the legend
+        axes.bar(places, on, 0.25, color=colour, alpha=0.35)
+        axes.bar(places, mean, 0.25, color=colour, label=name)
+    short = [name.replace("momentum bias, ", "bias,\n").replace("e ax", "e\nax") for name in names]
+    axes.set_xticks(range(len(names)), short, fontsize=7)
+    axes.set_ylim(0, 125)  # room for the legend
     axes.set_yticks(range(0, 101, 20))
+    style.label(axes, title="torquers: time on (pale), mean dipole (full)", y="share [%]")
 
 
 def main() -> None:

@@ -146,7 +146,12 @@ def test_a_late_clock_is_named_and_the_answer_keeps_the_contract(late: Case) -> 
 
 def test_the_page_stands_alone_and_answers_the_questions(late: Case) -> None:
     page = (late.folder / "a.html").read_text(encoding="utf-8")
-    for title in ("Where the gap lies", "Which effect causes it", "How far it shrinks", "What could not be tested"):
+    for title in (
+        "Where the gap lies",
+        "Which effect causes it",
+        "How much of it is closed",
+        "What could not be tested",
+    ):
         assert f">{title}</h2>" in page
     figures = re.findall('<figure id="([a-z_]+)">', page)
     assert figures == ["field", "gap_series", "drivers", "gap_spectra", "coverage"]

@@ -144,7 +144,7 @@ def test_numbers_are_shown_with_four_digits() -> None:
     assert [shown(c) for c in cells] == [
         "1.235",
         "-0.0001234",
-        "123456.8",
+        "123457",
         "12",
         "",
         "yes",

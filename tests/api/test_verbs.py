@@ -237,6 +237,17 @@ def test_a_refusal_names_keywords_not_options(flown: str, tmp_path: Path) -> Non
         assert said in str(refused.value) and "--" not in str(refused.value)
 
 
+def test_an_answer_names_keywords_too_but_leaves_whole_commands(known: tuple[fluxtwin.Telemetry, Any]) -> None:
+    record, _ = known
+    found = fluxtwin.diagnose(record, noise_nT=500.0)
+    assert found.sentence.endswith("(lsb_nT, attitude_sigma_deg).")
+    assert any("Correct noise_nT, or leave it out" in note for note in found.notes)
+    assert "--field" not in str(fluxtwin.calibrate(record, parameters="b,S,T"))
+    fit = fluxtwin.calibrate(record, parameters="b,S")
+    assert 'compare with parameters="b,S,T"' in " ".join(fit.messages)
+    assert "fluxtwin calibrate TELEMETRY --parameters b,S,T" in f"{fit.verdict.lines} {fit}"
+
+
 def test_no_verb_writes_over_what_it_has_read(flown: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     fluxtwin.convert(flown, "t.csv")

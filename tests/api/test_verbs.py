@@ -74,6 +74,9 @@ def test_lists_may_be_typed_as_on_the_command_line(flown: str) -> None:
         fluxtwin.fleet(dict.fromkeys("abc", flown), jobs=1)
     with pytest.raises(fluxtwin.BadInput, match="2: has the same readings as 1"):  # most of them
         fluxtwin.fleet({"0": apart["2"], "1": record[:30], "2": record[10:]}, modelled="biass", jobs=1)
+    later = record[10:45].replace(time=record.time[10:45] + np.timedelta64(1, "h"))
+    with pytest.raises(fluxtwin.BadInput, match="2: has the same readings as 0"):  # under other stamps
+        fluxtwin.fleet({"0": record, "1": apart["1"], "2": later}, modelled="biass", jobs=1)
     with pytest.raises(fluxtwin.BadInput, match="a diagnosis has no readings to calibrate"):
         fluxtwin.plan("found.json", names="calibration")
 

@@ -231,6 +231,10 @@ def test_a_refusal_names_keywords_not_options(flown: str, tmp_path: Path) -> Non
         (lambda: fluxtwin.calibrate(record, parameters="b,S,T"), 'the dipole columns, or parameters="b,S"'),
         (lambda: fluxtwin.Calibration(np.eye(3), np.ones(3), np.eye(3)).apply(record.mag_B_nT), "b and S"),
         (lambda: record.with_magnetometer(3), "Wanted: magnetometer 1 or 2"),
+        (
+            lambda: fluxtwin.diagnose(record.replace(mag_B_nT=0.1 * record.mag_B_nT), modelled="bias,torquer_coupling"),
+            "modelled: torquer_coupling follows the torquer dipole, and the telemetry has none",
+        ),
         (lambda: fluxtwin.trend(record, every_h=-1.0), "every_h: -1"),
         (lambda: fluxtwin.plan(record, names="biass"), "names: no effect is called"),
         (lambda: fluxtwin.draft_map(tmp_path), str(tmp_path)),

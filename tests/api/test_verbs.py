@@ -238,6 +238,8 @@ def test_a_refusal_names_keywords_not_options(flown: str, tmp_path: Path) -> Non
         (lambda: fluxtwin.trend(record, every_h=-1.0), "every_h: -1"),
         (lambda: fluxtwin.plan(record, names="biass"), "names: no effect is called"),
         (lambda: fluxtwin.draft_map(tmp_path), str(tmp_path)),
+        (lambda: fluxtwin.draft_map(record), "Telemetry was given. Wanted: the path of a foreign file, or several"),
+        (lambda: fluxtwin.read(flown, column_map="[[file]]\n"), "column_map: is the text of a map, not its file"),
     ):
         with pytest.raises(fluxtwin.FluxtwinError) as refused:
             call()

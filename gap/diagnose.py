@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from fluxtwin.calib.checks.copies import stuck_words, without_stuck
+from fluxtwin.calib.checks.copies import saying_stuck, stuck_words, without_stuck
 from fluxtwin.gap.channels import sun_nadir
 from fluxtwin.gap.channels.momentum_arcs import Craft
 from fluxtwin.gap.channels.two_magnetometers import apart
@@ -85,8 +85,11 @@ def diagnose(
     if instrument is None and modelled and not record.has_attitude.any():
         instrument = start_without_attitude(record, model)
     denser = _denser(moving, new * every)
-    problem = pose(record, model, modelled=modelled, budget=budget, instrument=instrument, frozen=frozen, denser=denser)
-    _require_rows(problem)
+    with saying_stuck(telemetry, stuck):
+        problem = pose(
+            record, model, modelled=modelled, budget=budget, instrument=instrument, frozen=frozen, denser=denser
+        )
+        _require_rows(problem)
     faster = None if every == 1 else whole
     channel = sun_nadir.channel_of(telemetry, frozen)
     work = investigate(settled(problem), progress, faster, craft)

@@ -80,6 +80,18 @@ def test_rows_without_a_dipole_are_left_out_where_its_field_is_estimated() -> No
             diagnose(few.replace(dipole_B_Am2=none), load_field("igrf14"), modelled=modelled)
 
 
+def test_stuck_rows_are_not_said_to_have_no_reading() -> None:
+    record = fluxtwin.simulate("cubesat")[0][:200]
+    mag, r = np.array(record.mag_B_nT), np.array(record.r_N_km)
+    mag[12:] = 0.0
+    short = record.replace(mag_B_nT=mag)
+    with pytest.raises(NoAnswer, match=r"it has 12 rows .*\. 188 rows have a stuck reading or a fill value, from"):
+        fluxtwin.diagnose(short)
+    r[:12] = np.nan
+    with pytest.raises(NoAnswer, match=r"no row is complete.*\. 188 rows have a stuck reading or a fill value, from"):
+        fluxtwin.calibrate(short.replace(r_N_km=r, v_N_km_s=None))
+
+
 @pytest.mark.parametrize("rows", [1, 2, 3])
 def test_a_few_rows_are_refused_in_words(rows: int) -> None:
     few = small_record(rows)

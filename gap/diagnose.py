@@ -36,7 +36,7 @@ from fluxtwin.gap.report.verdict import Work
 from fluxtwin.gap.selection.criterion import FEWEST, THRESHOLD
 from fluxtwin.gap.selection.detectable import detectable
 from fluxtwin.gap.selection.refit import Readings, refit, settled
-from fluxtwin.sim.base.errors import BadInput, NoAnswer, amount
+from fluxtwin.sim.base.errors import NoAnswer, amount
 from fluxtwin.sim.base.progress import Progress, silent
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.earth.field_models import FieldModel
@@ -71,14 +71,9 @@ def diagnose(
     """
     progress("baseline", 0.0)
     moving, stuck = without_stuck(telemetry)
-    coupled = "torquer_coupling" in modelled or (instrument is not None and instrument.T_nT_per_Am2 is not None)
-    moving, unknown = input_warnings.without_unknown_dipole(moving) if coupled else (moving, 0)
-    if "torquer_coupling" in modelled and moving.dipole_B_Am2 is None:
-        raise BadInput(
-            "torquer_coupling follows the torquer dipole, and the telemetry has none",
-            where="--modelled",
-            wanted="the columns dipole_x_Am2 dipole_y_Am2 dipole_z_Am2, or --modelled without torquer_coupling",
-        )
+    estimated = "torquer_coupling" in modelled
+    coupled = estimated or (instrument is not None and instrument.T_nT_per_Am2 is not None)
+    moving, unknown = input_warnings.without_unknown_dipole(moving, estimated) if coupled else (moving, 0)
     whole, new = new_rounding(moving)
     every = max(1, int(np.ceil(len(whole) / MOST_ROWS)))
     record = _each(whole, every)

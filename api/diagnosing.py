@@ -150,8 +150,8 @@ def diagnose(
             law=not traps,
             progress=lambda step, share: progress(first + step, share),
         )
-    except (BadInput, np.linalg.LinAlgError):
-        if traps:  # no magnetometer reads like this
+    except (BadInput, np.linalg.LinAlgError) as error:
+        if traps and getattr(error, "where", "") != "--modelled":  # no magnetometer reads like this
             wrong = input_warnings.unnamed(traps, ())
             raise NoAnswer(words.wrong_file(wrong, "unknown", ""), evidence={}) from None
         raise

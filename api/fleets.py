@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 
+from fluxtwin.calib.checks.copies import SHORTEST_COPY
 from fluxtwin.calib.common.digits import measured, plain
 from fluxtwin.diagnosing import Assumed, diagnose, with_assumed
 from fluxtwin.notebook import usual
@@ -61,12 +62,23 @@ def fleet(
 
 def _share_readings(one: Telemetry, other: Telemetry) -> bool:
     """Whether two records have the same readings, or the shorter one has most of its readings from the other, at the same
-    times: two sensors do not repeat each other to the last digit."""
+    times or in the same order: two sensors do not repeat each other to the last digit."""
     if np.array_equal(one.mag_B_nT, other.mag_B_nT, equal_nan=True):
         return True
     _, mine, theirs = np.intersect1d(one.time, other.time, return_indices=True)
     same = int((one.mag_B_nT[mine] == other.mag_B_nT[theirs]).all(axis=1).sum())
-    return 2 * same > min(int(one.has_reading.sum()), int(other.has_reading.sum()))
+    fewer, more = sorted((_runs(one), _runs(other)), key=len)
+    again = 0 < len(fewer) < 2 * np.isin(fewer, more).sum()
+    return again or 2 * same > min(int(one.has_reading.sum()), int(other.has_reading.sum()))
+
+
+def _runs(record: Telemetry) -> np.ndarray:
+    """A number for each `SHORTEST_COPY` readings in a row; only the same readings have the same."""
+    parts = np.ascontiguousarray(record.mag_B_nT[record.has_reading]).view(np.uint64)
+    runs = np.zeros(max(len(parts) - SHORTEST_COPY + 1, 0), dtype=np.uint64)
+    for first, axis in itertools.product(range(SHORTEST_COPY), range(3)):
+        runs = runs * np.uint64(6364136223846793005) + parts[first : first + len(runs), axis]
+    return runs
 
 
 def diagnoses(

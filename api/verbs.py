@@ -387,4 +387,4 @@ def draft_map(files: Path | str | Sequence[Path | str]) -> str:
     given = list(files) if isinstance(files, Sequence) and not isinstance(files, str) else [files]
     if not given:
         raise BadInput("no file was named", where="draft_map", wanted="one foreign file or several")
-    return column_map_draft.draft([as_path(one) for one in given])
+    return column_map_draft.draft([as_path(one, "files", "the path of a foreign file, or several") for one in given])

@@ -137,7 +137,7 @@ def calibrate_by(
     given: options of the method, by the fields of its options; one that is None is as if not given.
     Raises BadInput for an unknown method, and for an option that the method does not take.
     """
-    from fluxtwin.calib.checks.copies import stuck_words, without_stuck
+    from fluxtwin.calib.checks.copies import saying_stuck, stuck_words, without_stuck
     from fluxtwin.calib.common.coverage import coverage_of
     from fluxtwin.calib.common.design import joined, reference_field_B_nT
     from fluxtwin.calib.common.orbit_error import with_orbit_error
@@ -156,7 +156,8 @@ def calibrate_by(
         return replace(fit, comparison=compared)
     estimator = ESTIMATORS[default_method(telemetry) if method is None else method]
     taken = _taken(estimator, given)
-    fit = estimator.fit(telemetry, model, taken, progress)
+    with saying_stuck(telemetry, stuck):
+        fit = estimator.fit(telemetry, model, taken, progress)
     fit = with_orbit_error(fit, telemetry, lambda moved: estimator.fit(moved, model, taken, sigmas=False))
     fit = _named(fit, telemetry)
     if stuck.any():

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from fluxtwin.calib.checks.copies import stuck_words, without_stuck
+from fluxtwin.calib.checks.copies import saying_stuck, stuck_words, without_stuck
 from fluxtwin.gap.channels import sun_nadir
 from fluxtwin.gap.channels.momentum_arcs import Craft
 from fluxtwin.gap.channels.two_magnetometers import apart
@@ -71,16 +71,20 @@ def diagnose(
     """
     progress("baseline", 0.0)
     moving, stuck = without_stuck(telemetry)
-    coupled = "torquer_coupling" in modelled or (instrument is not None and instrument.T_nT_per_Am2 is not None)
-    moving, unknown = input_warnings.without_unknown_dipole(moving) if coupled else (moving, 0)
+    estimated = "torquer_coupling" in modelled
+    coupled = estimated or (instrument is not None and instrument.T_nT_per_Am2 is not None)
+    moving, unknown = input_warnings.without_unknown_dipole(moving, estimated) if coupled else (moving, 0)
     whole, new = new_rounding(moving)
     every = max(1, int(np.ceil(len(whole) / MOST_ROWS)))
     record = _each(whole, every)
     if instrument is None and modelled and not record.has_attitude.any():
         instrument = start_without_attitude(record, model)
     denser = _denser(moving, new * every)
-    problem = pose(record, model, modelled=modelled, budget=budget, instrument=instrument, frozen=frozen, denser=denser)
-    _require_rows(problem)
+    with saying_stuck(telemetry, stuck):
+        problem = pose(
+            record, model, modelled=modelled, budget=budget, instrument=instrument, frozen=frozen, denser=denser
+        )
+        _require_rows(problem)
     faster = None if every == 1 else whole
     channel = sun_nadir.channel_of(telemetry, frozen)
     work = investigate(settled(problem), progress, faster, craft)

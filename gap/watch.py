@@ -132,7 +132,10 @@ class Watch:
         """As `take`; not armed: to learn what the calibration is."""
         from fluxtwin.gap import watch_kernels
 
-        usable = telemetry.has_reading & telemetry.has_position
+        corrected = self.calibration.apply(telemetry.mag_B_nT, telemetry.dipole_B_Am2, recorded_columns(telemetry))
+        usable = (
+            np.isfinite(corrected).all(axis=1) & telemetry.has_position
+        )  # one missing dipole would void all that follows
         if self.last is not None:
             usable = usable & (telemetry.time > self.last)
         self.innovations = np.zeros((0, 3))

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 import numpy as np
 
 from fluxtwin.calib.checks.report import Finding, trap
 from fluxtwin.calib.checks.stuck import check_stuck, runs
+from fluxtwin.sim.base.errors import NoAnswer
 from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.telemetry.record import Telemetry
@@ -43,6 +47,17 @@ def stuck_words(time: TimeArray, rows: BoolArray) -> str:
     where = np.flatnonzero(rows)
     first, last = (epoch.iso(time[row]) for row in (where[0], where[-1]))
     return f"{where.size} rows have a stuck reading or a fill value, from {first} to {last}, and were excluded"
+
+
+@contextmanager
+def saying_stuck(telemetry: Telemetry, stuck: BoolArray) -> Iterator[None]:
+    """What gives no answer says too which rows (N,) of the record were left out as stuck: they do have a reading."""
+    try:
+        yield
+    except NoAnswer as error:
+        if stuck.any():
+            error.args = (f"{error}. {stuck_words(telemetry.time, stuck)}",)
+        raise
 
 
 def check_clipped(telemetry: Telemetry) -> tuple[list[Finding], BoolArray]:

@@ -28,6 +28,7 @@ from fluxtwin.sim.base.errors import BadInput, NoAnswer, names_in, nearest
 from fluxtwin.sim.base.late import late, lateness_near, lateness_tried
 from fluxtwin.sim.base.progress import Progress
 from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.telemetry.columns import file_columns
 from fluxtwin.sim.telemetry.quantities import DRIVERS
 from fluxtwin.sim.telemetry.record import Telemetry, recorded_columns
 
@@ -103,6 +104,9 @@ def asked_for(telemetry: Telemetry, names: Sequence[str]) -> Asked:
         if column is not None:
             found[column] = known[column]
         elif name != EVERY:
+            if name in file_columns(telemetry):
+                said = f"{name!r} is not taken for what a field is in proportion to"
+                raise BadInput(said, where="--driver", wanted="a copy of the column called driver_NAME")
             near = nearest(name, [*known, *telemetry.drivers], "{!r} is near", cutoff=0.4)
             wanted = near or ", ".join(known) or "a column driver_NAME in the telemetry, with any unit"
             raise BadInput(f"the telemetry has no column {name!r}", where="--driver", wanted=wanted)

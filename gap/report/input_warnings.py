@@ -10,6 +10,7 @@ from fluxtwin.calib.checks.check import check_telemetry
 from fluxtwin.calib.checks.copies import without_stuck
 from fluxtwin.calib.checks.report import Finding
 from fluxtwin.gap.noise.choice import NOISE_LOG_SD, NoiseModel
+from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.types import BoolArray
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.earth.field import FieldModel
@@ -47,14 +48,18 @@ def noise_below(noise: NoiseModel, declared_nT: float | None) -> str | None:
     )
 
 
-def without_unknown_dipole(telemetry: Telemetry) -> tuple[Telemetry, int]:
+def without_unknown_dipole(telemetry: Telemetry, estimated: bool) -> tuple[Telemetry, int]:
     """The record without the readings of rows whose torquer dipole is missing, and how many these are; where that is missing
-    throughout, the record without a dipole."""
+    throughout, the record without a dipole, or BadInput where its field is to be estimated."""
     dipole = telemetry.dipole_B_Am2
-    if dipole is None:
-        return telemetry, 0
-    known: BoolArray = np.asarray(np.isfinite(dipole).all(axis=1))
+    known: BoolArray = np.asarray(dipole is not None and np.isfinite(dipole).all(axis=1))
     if not known.any():
+        if estimated:
+            raise BadInput(
+                "torquer_coupling follows the torquer dipole, and the telemetry has none",
+                where="--modelled",
+                wanted="dipole_x_Am2 dipole_y_Am2 dipole_z_Am2 in the telemetry, or --modelled without torquer_coupling",
+            )
         return telemetry.replace(dipole_B_Am2=None), 0
     mag_B_nT = np.where(known[:, None], telemetry.mag_B_nT, np.nan)
     return telemetry.replace(mag_B_nT=mag_B_nT), int((telemetry.has_reading & ~known).sum())

@@ -9,6 +9,7 @@ import re
 import reprlib
 import sys
 from collections.abc import Callable, Mapping
+from dataclasses import fields, is_dataclass, replace
 from functools import partial, wraps
 from numbers import Integral, Real
 from typing import Any
@@ -43,7 +44,8 @@ def door(
 
 
 def as_verb(package: str, name: str, value: Any, flags: Mapping[str, str], lines: Mapping[str, str]) -> Any:
-    """A function as others call it: what it is given is held against its signature, and its refusals name keywords.
+    """A function as others call it: what it is given is held against its signature, and its refusals and answers name
+    keywords.
 
     None for a keyword that has another default means that default. flags: the keyword that an option of the command line
     stands for, where it is spelled otherwise. lines: what is said of a parameter that the docstring does not explain. Raises
@@ -53,6 +55,7 @@ def as_verb(package: str, name: str, value: Any, flags: Mapping[str, str], lines
         return value
     own = inspect.signature(value)
     known = own.parameters
+    said_here = partial(_as_keywords, known=known, flags=flags)
 
     @wraps(value)
     def verb(*arguments: Any, **keywords: Any) -> Any:
@@ -70,11 +73,11 @@ def as_verb(package: str, name: str, value: Any, flags: Mapping[str, str], lines
                 given = bound.arguments[one] = _listed(given)
             _require_kind(one, given, annotation)
         try:
-            return value(*bound.args, **bound.kwargs)
+            return _in_words_of(value(*bound.args, **bound.kwargs), said_here)
         except FluxtwinError as error:
-            error.args = tuple(_as_keywords(text, known, flags) for text in error.args)
+            error.args = tuple(map(said_here, error.args))
             if isinstance(error, BadInput):
-                error.where, error.wanted = (_as_keywords(text, known, flags) for text in (error.where, error.wanted))
+                error.where, error.wanted = said_here(error.where), said_here(error.wanted)
             raise
 
     shown = [
@@ -142,8 +145,11 @@ _KINDS: dict[str, tuple[str, Callable[[Any], bool]]] = {
 """What an argument may be, by its annotation: in words, and whether something is that. What has no row the verb judges."""
 _UNIT = re.compile(r"_(nT|deg|s|h|km)$")
 _FLAG = re.compile(
-    r"--(?P<flag>[a-z][\w-]*)(?: (?:(?P<number>\d+)|(?P<text>[A-Z]{3,}(?:\.[a-z]+)?|b(?:,[ST])*))(?![\w-]))?"
+    r"fluxtwin [a-z]+(?: [\w./]+)?(?: --[\w-]+(?: [\w./,:]+)?)*|"  # a command stays one
+    r"--(?P<flag>[a-z][\w-]*)(?: (?:(?P<number>\d+)|(?P<text>[A-Z]{3,}(?:\.[a-z]+)?|b(?:,[ST])*|tukey))(?![\w-]))?"
 )
+_SAID = ("sentence", "line", "notes", "messages", "warnings", "reasons", "not_observable", "verdict", "diagnosis")
+"""The parts of an answer that are words, or that have such parts."""
 
 
 def _require_kind(name: str, given: Any, annotation: str) -> None:
@@ -162,10 +168,10 @@ def _require_kind(name: str, given: Any, annotation: str) -> None:
 
 def _as_keywords(text: Any, known: Mapping[str, inspect.Parameter], flags: Mapping[str, str]) -> Any:
     """The text with the keywords in place of the options of the command line that they are, where the verb has them; what
-    stands for a value (`FILE.toml`, `b,S`, `2`) is written as Python writes it."""
+    stands for a value (`FILE.toml`, `b,S`, `2`) is written as Python writes it. A whole command is left as it is."""
 
     def keyword(flag: re.Match[str]) -> str:
-        name = flag["flag"].replace("-", "_")
+        name = (flag["flag"] or "").replace("-", "_")
         one = known.get(name) or known.get(flags.get(name, ""))
         if one is None:
             return flag[0]
@@ -175,3 +181,17 @@ def _as_keywords(text: Any, known: Mapping[str, inspect.Parameter], flags: Mappi
         return f"{one.name}={value}" if value else one.name
 
     return _FLAG.sub(keyword, text) if isinstance(text, str) else text
+
+
+def _in_words_of(answer: Any, said: Callable[[Any], Any]) -> Any:
+    """An answer with its words as `said`; itself where nothing changes."""
+    if not is_dataclass(answer) or isinstance(answer, type):
+        return answer
+    new = {}
+    for name in {*_SAID} & {one.name for one in fields(answer)}:
+        part = getattr(answer, name)
+        listed = isinstance(part, list | tuple)
+        spoken = type(part)(map(said, part)) if listed else _in_words_of(said(part), said)
+        if spoken is not part and (not listed or spoken != part):
+            new[name] = spoken
+    return replace(answer, **new) if new else answer

@@ -262,6 +262,8 @@ class ColumnMap(Strict):
 
 def load_column_map(path: Path | str) -> ColumnMap:
     """Read and check a column map, or the packaged `preset:NAME`. Raises BadInput listing every fault."""
+    if "\n" in str(path):
+        raise BadInput("is the text of a map, not its file", where="--map", wanted="the path of a file with that text")
     return read_model(preset(path) or path, ColumnMap)
 
 

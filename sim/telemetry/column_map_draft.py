@@ -247,7 +247,11 @@ def _file(header: Header, *, named: bool, seen: set[str], by_size: bool) -> tupl
         here[quantity] = columns
         lines += [*(f"{CONFIRM} {text}" for text in doubts), f"{quantity} = {{ {inner} }}"]
         used |= set(columns)
-    rest = [name for name in header.names if name not in used]
+    rest = [
+        name if name in header.values else f"{name} (not all numbers)"
+        for name in header.names
+        if name and name not in used
+    ]
     if rest:
         lines.append(f"# not used: {', '.join(rest[:30])}{' ...' if len(rest) > 30 else ''}")
     return lines, bool(how)

@@ -305,7 +305,8 @@ def _words_by_tabs(data: bytes, where: str, above: int) -> bytes:
             f"its columns are separated by blanks, and line {above + odd + 1} has {counts[odd]} words, "
             f"the header {counts[0]}",
             where=where,
-            wanted="as many words in every line as in the header (none with a blank inside), or commas between columns",
+            wanted="the header first (lines above it begin with #) and as many words in every line (none with a blank "
+            "inside), or commas between columns",
         )
     return b"\n".join(rows)
 
@@ -324,9 +325,9 @@ def _names(head: bytes, where: str) -> tuple[str, ...]:
             where=where,
             wanted="the names of the columns in the first line, with units, as time, r_x_km, mag_x_nT (docs/telemetry.md)",
         )
-    doubled = sorted({name for name in names if names.count(name) > 1}) if len(set(names)) < len(names) else []
+    doubled = sorted({name for name in names if name and names.count(name) > 1}) if len(set(names)) < len(names) else []
     if doubled:
-        raise BadInput(f"column {clip(doubled[0]) or '(no name)'} is there twice", where=where, wanted="each once")
+        raise BadInput(f"column {clip(doubled[0])} is there twice", where=where, wanted="each once")
     return names
 
 

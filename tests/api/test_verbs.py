@@ -74,6 +74,9 @@ def test_lists_may_be_typed_as_on_the_command_line(flown: str) -> None:
         fluxtwin.fleet(dict.fromkeys("abc", flown), jobs=1)
     with pytest.raises(fluxtwin.BadInput, match="2: has the same readings as 1"):  # most of them
         fluxtwin.fleet({"0": apart["2"], "1": record[:30], "2": record[10:]}, modelled="biass", jobs=1)
+    later = record[10:45].replace(time=record.time[10:45] + np.timedelta64(1, "h"))
+    with pytest.raises(fluxtwin.BadInput, match="2: has the same readings as 0"):  # under other stamps
+        fluxtwin.fleet({"0": record, "1": apart["1"], "2": later}, modelled="biass", jobs=1)
     with pytest.raises(fluxtwin.BadInput, match="a diagnosis has no readings to calibrate"):
         fluxtwin.plan("found.json", names="calibration")
 
@@ -228,13 +231,30 @@ def test_a_refusal_names_keywords_not_options(flown: str, tmp_path: Path) -> Non
         (lambda: fluxtwin.calibrate(record, parameters="b,S,T"), 'the dipole columns, or parameters="b,S"'),
         (lambda: fluxtwin.Calibration(np.eye(3), np.ones(3), np.eye(3)).apply(record.mag_B_nT), "b and S"),
         (lambda: record.with_magnetometer(3), "Wanted: magnetometer 1 or 2"),
+        (
+            lambda: fluxtwin.diagnose(record.replace(mag_B_nT=0.1 * record.mag_B_nT), modelled="bias,torquer_coupling"),
+            "modelled: torquer_coupling follows the torquer dipole, and the telemetry has none",
+        ),
         (lambda: fluxtwin.trend(record, every_h=-1.0), "every_h: -1"),
         (lambda: fluxtwin.plan(record, names="biass"), "names: no effect is called"),
         (lambda: fluxtwin.draft_map(tmp_path), str(tmp_path)),
+        (lambda: fluxtwin.draft_map(record), "Telemetry was given. Wanted: the path of a foreign file, or several"),
+        (lambda: fluxtwin.read(flown, column_map="[[file]]\n"), "column_map: is the text of a map, not its file"),
     ):
         with pytest.raises(fluxtwin.FluxtwinError) as refused:
             call()
         assert said in str(refused.value) and "--" not in str(refused.value)
+
+
+def test_an_answer_names_keywords_too_but_leaves_whole_commands(known: tuple[fluxtwin.Telemetry, Any]) -> None:
+    record, _ = known
+    found = fluxtwin.diagnose(record, noise_nT=500.0)
+    assert found.sentence.endswith("(lsb_nT, attitude_sigma_deg).")
+    assert any("Correct noise_nT, or leave it out" in note for note in found.notes)
+    assert "--field" not in str(fluxtwin.calibrate(record, parameters="b,S,T"))
+    fit = fluxtwin.calibrate(record, parameters="b,S")
+    assert 'compare with parameters="b,S,T"' in " ".join(fit.messages)
+    assert "fluxtwin calibrate TELEMETRY --parameters b,S,T" in f"{fit.verdict.lines} {fit}"
 
 
 def test_no_verb_writes_over_what_it_has_read(flown: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -67,16 +67,29 @@ def test_readings_corrected_twice_and_residuals_of_nothing() -> None:
         residual_statistics(RECORD.time, NOTHING)
 
 
-@pytest.mark.parametrize("share", [0.01, 1.0])
-def test_rows_without_a_dipole_are_left_out_where_its_field_is_estimated(share: float) -> None:
+def test_rows_without_a_dipole_are_left_out_where_its_field_is_estimated() -> None:
     record, _ = fluxtwin.simulate("cubesat")
     dipole = np.array(record.dipole_B_Am2)[:600]
-    dipole[: int(share * 600), 1] = np.nan
+    dipole[:6, 1] = np.nan
     few = record.select(slice(0, 600)).replace(dipole_B_Am2=dipole)
     modelled = ("bias", "scale_misalignment", "torquer_coupling")
     found = diagnose(few, load_field("igrf14"), modelled=modelled)
-    said = "6 rows with a reading but no torquer dipole were excluded"
-    assert (said in found.notes) is (share < 1.0)
+    assert "6 rows with a reading but no torquer dipole were excluded" in found.notes
+    for none in (None, np.full((600, 3), np.nan)):
+        with pytest.raises(BadInput, match="--modelled: torquer_coupling follows the torquer dipole"):
+            diagnose(few.replace(dipole_B_Am2=none), load_field("igrf14"), modelled=modelled)
+
+
+def test_stuck_rows_are_not_said_to_have_no_reading() -> None:
+    record = fluxtwin.simulate("cubesat")[0][:200]
+    mag, r = np.array(record.mag_B_nT), np.array(record.r_N_km)
+    mag[12:] = 0.0
+    short = record.replace(mag_B_nT=mag)
+    with pytest.raises(NoAnswer, match=r"it has 12 rows .*\. 188 rows have a stuck reading or a fill value, from"):
+        fluxtwin.diagnose(short)
+    r[:12] = np.nan
+    with pytest.raises(NoAnswer, match=r"no row is complete.*\. 188 rows have a stuck reading or a fill value, from"):
+        fluxtwin.calibrate(short.replace(r_N_km=r, v_N_km_s=None))
 
 
 @pytest.mark.parametrize("rows", [1, 2, 3])

@@ -186,6 +186,24 @@ def test_last_months_calibration(record: Telemetry) -> None:
     assert changed is not None and changed.since <= record.time[200]
 
 
+@pytest.mark.parametrize("missing", ["dipole", "driver"])
+def test_one_missing_dipole_or_current_does_not_silence_the_watch(record: Telemetry, missing: str) -> None:
+    S, column = np.array([[0.01, 0.002, 0.0], [0.0, -0.01, 0.0], [0.001, 0.0, 0.02]]), np.zeros((len(record), 3))
+    column[FIRST + 20] = np.nan
+    changed, known = with_change(record, bias_nT=300.0), Calibration(S, np.array([1500.0, -800.0, 300.0]))
+    if missing == "dipole":
+        changed = changed.replace(dipole_B_Am2=column)
+        known = replace(known, T_nT_per_Am2=np.eye(3), covariance=np.zeros((21, 21)))
+    else:
+        changed = changed.replace(drivers={"heater": column[:, 0]})
+        bias = {"driver_heater": TelemetryBias(np.ones(3), np.ones(3))}
+        known = replace(known, telemetry_bias=bias, covariance=np.zeros((12, 12)))
+    watch = begin(changed.select(slice(0, FIRST)), MODEL, None, known)
+    found = watch.take(changed.select(slice(FIRST, None)))
+    assert found is not None and found.time > record.time[AT]
+    assert found.rows == int(np.flatnonzero(record.time == found.time)[0]) - FIRST  # but for the row that lacks it
+
+
 def test_bias_scale_and_noise_are_sought_with_a_third_each() -> None:
     of_mean, of_noise = np.split(module._prior(), [2 * len(module.DIRECTIONS) * module.SIZES.size])
     of_direction = of_mean.reshape(len(module.DIRECTIONS), -1).sum(axis=1)

@@ -41,12 +41,20 @@ class Table:
         """A column as float64, (N,) or (N, k). Raises BadInput where it holds none."""
         value = self.columns[name]
         if value.dtype.kind == "S":
+            found, cell = list[float](), b""
             try:
-                return np.array([float(cell) if cell.strip() else np.nan for cell in value.tolist()])
+                for cell in value.tolist():
+                    found.append(float(cell) if cell.strip() else np.nan)
             except ValueError:
                 if (truths := truths_in(value)) is not None:
                     return truths
-                raise BadInput(f"{clip(name)} holds no numbers", where=self.where, wanted="a numeric column") from None
+                text = clip(cell.decode("utf-8", "replace"), 30)
+                raise BadInput(
+                    f"{clip(name)} in row {len(found) + 1} is {text!r}, which is no number",
+                    where=self.where,
+                    wanted="numbers; blank or NaN where a value is missing",
+                ) from None
+            return np.array(found)
         if value.dtype.kind == "M":
             raise BadInput(f"{clip(name)} holds stamps, no numbers", where=self.where, wanted="a numeric column")
         out = np.asarray(value, dtype=np.float64)

@@ -480,6 +480,7 @@ def test_the_step_of_the_readings_is_found_beside_a_field() -> None:
     [
         ("linear", ["paylod"], "'payload' is near"),
         ("scalar", ["flag_x"], "the telemetry has no column 'flag_x'"),
+        ("linear", ["mag_x_nT"], "'mag_x_nT' is not taken .*Wanted: a copy of the column called driver_NAME"),
     ],
 )
 def test_a_column_that_is_not_there_is_refused(method: str, names: list[str], said: str) -> None:

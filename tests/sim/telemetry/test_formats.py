@@ -414,7 +414,7 @@ def test_units_in_attributes_and_lists_in_cells() -> None:
 def test_words_of_truth_in_a_frame_are_one_and_zero(record: fluxtwin.Telemetry) -> None:
     frame = record.to_pandas().assign(flag_ok=["true", "False"] * (len(record) // 2))
     assert list(fluxtwin.read(frame).flags["ok"][:2]) == [1.0, 0.0]
-    with pytest.raises(BadInput, match="mag_x_nT holds no numbers"):
+    with pytest.raises(BadInput, match="mag_x_nT in row 2 is 'true', which is no number"):
         fluxtwin.read(frame.assign(mag_x_nT=["1.5", "true"] * (len(record) // 2)))
 
 

@@ -347,8 +347,14 @@ def test_columns_between_blanks_are_read_and_said(tmp_path: Path, name: str) -> 
     cut = read_telemetry(tmp_path / name)
     assert len(cut) == len(plain) - 1 and "no line end" in cut.provenance["notices"]
     stamps = [line.replace("Z ", " UTC ") for line in aligned]
-    with pytest.raises(BadInput, match="line 2 has 12 words, the header 11"):
+    with pytest.raises(BadInput, match=r"line 2 has 12 words, the header 11\. Wanted: the header first"):
         read_telemetry(save(tmp_path, stamps, name))
+
+
+def test_empty_columns_of_a_spreadsheet_are_passed_over(tmp_path: Path) -> None:
+    plain = read_telemetry(save(tmp_path, plain_lines()))
+    found = read_telemetry(save(tmp_path, [line.replace(",", ";") + ";;" for line in plain_lines()]))
+    assert np.array_equal(found.mag_B_nT, plain.mag_B_nT) and np.array_equal(found.r_N_km, plain.r_N_km)
 
 
 @pytest.mark.parametrize("mark", [",", ";"])

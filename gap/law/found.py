@@ -179,7 +179,7 @@ class _Search:
         record = self._record(fit, terms, gap, alike)
         best = words.made_of(record.terms)
         for gain, more in parts(left, own):
-            if worth(gain / wider, more, samples, float(np.log(len(PARTS)))) > THRESHOLD + LOG_FURTHER:
+            if worth(gain, more, samples, float(np.log(len(PARTS)))) > THRESHOLD + LOG_FURTHER:
                 why = "differ from one part of the record to the next"
                 return Lawful(self._none(whitener, f"the coefficients of the best one ({best}) {why}"))
         if gap.closed is None or gap.closed < 0.5:  # one that leaves more than it explains is none

@@ -263,7 +263,8 @@ def noise_level(
     effect = ExcessNoise(("x", "y", "z")[int(np.argmax(noisy))]) if alone else ExcessNoise()
     where = f" on axis {effect.axis}" if alone else ""
     what = f"white noise is {level_nT:.4g} nT{where}, where {declared_nT:.4g} nT were expected"
-    return Finding(effect, np.array([rms]), np.array([sigma]), value, what, tuple(faults))
+    chance = float((3 if alone else 1) * stats.norm.sf(beyond))
+    return Finding(effect, np.array([rms]), np.array([sigma]), value, what, tuple(faults), chance=chance)
 
 
 def with_frozen_noise(

@@ -39,6 +39,8 @@ class Finding:
     faults: tuple[str, ...] = ()
     hidden_nT: float = 0.0
     """rms per component of what wrong readings have that the noise hides, and that are therefore not excluded."""
+    chance: float = 1.0
+    """Probability of as much by chance, where the distribution of what was measured is known."""
 
     @property
     def name(self) -> str:
@@ -65,8 +67,8 @@ class Finding:
 
     @property
     def p_value(self) -> float:
-        """A Bayes factor of k against nothing comes by chance at most once in k times (Markov's inequality)."""
-        return float(np.exp(-0.5 * max(self.worth, 0.0)))
+        """By chance; a Bayes factor of k against nothing at most once in k times (Markov's inequality)."""
+        return min(self.chance, float(np.exp(-0.5 * max(self.worth, 0.0))))
 
     @property
     def probability(self) -> float:

@@ -122,6 +122,8 @@ def test_each_is_named_when_it_is_true(bench: Bench) -> None:
     assert bench.confirmed(120.0 * duty(t), 3) == {"heater_switching"}
     assert bench.confirmed(0 * wheel, 4, sigma=160.0) == {"excess_noise"}
     assert bench.confirmed(0 * wheel, 5, sigma=np.array([100.0, 160.0, 100.0])) == {"excess_noise"}
+    # The logarithm of a declared noise is trusted to 0.1: by chance it is beyond 0.37 once in ten thousand times.
+    assert bench.confirmed(0 * wheel, 6, sigma=145.0) == {"excess_noise"}
 
 
 def test_none_is_named_for_what_is_not_in_the_list(bench: Bench) -> None:

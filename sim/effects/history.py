@@ -63,6 +63,17 @@ class FieldHistory:
     changing_B_nT_s: FloatArray
     """(N, 3) rate of change at the stamps by the way along the orbit alone."""
 
+    def closely(self, parts: int) -> tuple[FloatArray, FloatArray, RowArray]:
+        """Each step from moment to moment in so many parts: times (K,), the field (K, 3) by cubics through values and
+        slopes, and which of them are stamps (N,)."""
+        step = np.where(self.restart, 0.0, np.diff(self.time_s, prepend=self.time_s[0]))
+        shares = np.arange(1, parts) / parts
+        between = [_cubic(self.along_B_nT, self.slope_B_nT_s, step, share)[0] for share in shares]
+        between = [np.where(self.restart[:, None], self.along_B_nT, one) for one in between]
+        times = [self.time_s - (1.0 - share) * step for share in shares]
+        field = np.stack([*between, self.along_B_nT], axis=1).reshape(-1, 3)
+        return np.stack([*times, self.time_s], axis=1).reshape(-1), field, parts * (self.stamps + 1) - 1
+
     def steady_B_nT(self, lag_s: float) -> FloatArray:
         """(M, 3) at the stamps: what a low-pass shows if the body has turned at this rate since long ago.
 

@@ -23,6 +23,8 @@ STANDARD_FIELD_NT = 50_000.0
 LARGEST_NT = 5_000.0
 """No magnetometer is off a straight line by more than a tenth of the field: what is called so is something else."""
 _WAYS = {"o": 1.0, "r": -1.0, "n": 0.0}
+_PARTS = 5
+"""Of 0.3 rad of a turn: between 0.06 rad a field is within 5e-4 of itself of its turning point."""
 _WIDTHS_NT = (1000.0, 4000.0, 16000.0)
 _DEPTHS_NT = (500.0, 1000.0, 2000.0, 4000.0, 8000.0)
 """Further apart, a fit may begin where no reading is clipped, and stay there."""
@@ -95,8 +97,8 @@ class Hysteresis(SignalEffect):
     A core whose magnetisation follows the play operator y = play_w(x) of the field x along each axis, w half
     the loop's width, has a part in proportion to x, which is a scale error, and the rest, a (y - x) / w, which
     is this effect. It lies between -a and a; the loop of y against x is `width_nT` = 2 w wide. Before the first row the
-    field is taken to have come the way it goes on, so that the core has followed it, unless `start` says otherwise; what
-    the field did between rows is not seen.
+    field is taken to have come the way it goes on, so that the core has followed it, unless `start` says otherwise. Between
+    stamps the ambient field is followed where the body turns far in a step, a field of the spacecraft as straight lines.
     """
 
     name = "hysteresis"
@@ -139,12 +141,14 @@ class Hysteresis(SignalEffect):
 
     def _behind(self, signal: Signal) -> FloatArray:
         """(N, 3) (y - x) / w."""
-        field = signal.seen_along_track(signal.ambient_N_nT)
-        field = field if signal.stray_B_nT is None else field + signal.stray_B_nT
+        seconds, field, stamps = field_history(signal).closely(_PARTS)
+        if signal.stray_B_nT is not None:
+            stray = [np.interp(seconds, seconds[stamps], axis) for axis in signal.stray_B_nT.T]
+            field = field + np.stack(stray, axis=1)
         half = 0.5 * self.width_nT
-        onward = np.sign(field[min(1, len(field) - 1)] - field[0])
+        onward = np.sign(field[min(stamps[0] + 1, len(field) - 1)] - field[0])
         came = onward * np.array([_WAYS[way] for way in self.start])
-        return (play(field, half, field[0] - half * came) - field) / half
+        return ((play(field, half, field[0] - half * came) - field) / half)[stamps]
 
 
 @dataclass(frozen=True)

@@ -292,11 +292,6 @@ class Signal:
         own = self.setting.own_turn_N
         return self.R_BN if own is None else self.R_BN * own.inv()
 
-    def seen_along_track(self, vector_N: FloatArray) -> FloatArray:
-        """(N, 3) GCRS vectors in the axes of `R_track_BN`, without the product of rotations: it takes ten times as long."""
-        own = self.setting.own_turn_N
-        return np.asarray(self.R_BN.apply(vector_N if own is None else own.inv().apply(vector_N)))
-
     def with_own_turn(self, vector_B: FloatArray) -> FloatArray:
         """(N, 3) vectors in the track's body axes, turned into those of each row's own attitude."""
         own = self.setting.own_turn_N

@@ -240,6 +240,28 @@ def test_hysteresis_reads_low_on_the_way_up(close: Callable[..., None]) -> None:
     close(found[middle & ~rising, 0], 80.0, atol=1e-9, unit="nT", because="far from a turning point")
 
 
+@pytest.mark.parametrize("step_s", [1.0, 12.0])
+def test_hysteresis_follows_the_field_between_stamps(step_s: float, close: Callable[..., None]) -> None:
+    """Of a spin of 32 s, rows of 12 s hardly ever hold a turning point of the field. The play of the same sinusoid at steps
+    of 0.01 s is what they show."""
+    w, half_nT = 2.0 * np.pi / 32.0, 8000.0
+    chain = spinning(np.arange(0.0, 600.0 + step_s / 2, step_s), w)
+    plane = chain.reading_nT()[0, :2]
+    fine_s = np.arange(60_001) * 0.01
+    field = np.hypot(*plane) * np.cos(np.arctan2(plane[1], plane[0]) - w * fine_s)
+    y = play(field[:, None], half_nT, field[:1] - half_nT * np.sign(field[1] - field[0]))[:, 0]
+    expected = 80.0 * ((y - field) / half_nT)[:: round(step_s / 0.01)]
+    found = added(chain, Hysteresis(width_nT=2.0 * half_nT), [80.0, 0.0, 0.0])[:, 0]
+    close(
+        found,
+        expected,
+        atol=0.3,
+        unit="nT",
+        because="5e-4 of 28,000 nT over 8000 nT, of 80 nT, and the Earth's turning",
+    )
+    assert np.ptp(expected) > 150.0
+
+
 @pytest.mark.parametrize(
     ("effect", "said"),
     [

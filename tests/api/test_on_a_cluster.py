@@ -68,12 +68,15 @@ def test_the_bits_are_those_of_this_machine_and_a_lost_worker_costs_nothing(
     assert cli("calibrate", *files, *on_all).status == 0
     said = cli("diagnose", *files[:2], "--scheduler", far.address, "--json", tmp_path / "far.json")
     kill, one_died = killing_one(far, 1.0)
-    found = diagnoses({str(path): fluxtwin.read(path) for path in files}, {}, scheduler=far.address, progress=kill)
+    records = {str(path): fluxtwin.read(path) for path in files}
+    found = diagnoses(records, {}, scheduler=far.address, progress=kill)
     assert one_died()
     assert cli("calibrate", *files, "--out", tmp_path / "here.toml").status == 0
     here, there = ((tmp_path / name).read_text(encoding="utf-8") for name in ("here.toml", "far.toml"))
     assert tomllib.loads(here) == tomllib.loads(there)
-    assert [one.to_dict() for one in found.values()] == [fluxtwin.diagnose(path).to_dict() for path in files]
+    assert [one.to_dict() for one in found.values()] == [
+        one.to_dict() for one in diagnoses(records, {}, jobs=1).values()
+    ]
     assert said.status == 0 and said.out == cli("diagnose", *files[:2], "--jobs", 1).out
     assert said.out.count(".nc: ") == 2
 

@@ -87,7 +87,7 @@ def test_the_second_s_own_disturbance_is_said_and_is_no_gap_of_the_first() -> No
     found = fluxtwin.diagnose(flown(magnetometer_2=SECOND | {"unknown": WANDERING}))
     assert found.verdict == "no_gap"
     assert "The two magnetometers differ" in found.sentence
-    assert "--magnetometer 2" in found.sentence
+    assert "magnetometer=2" in found.sentence
     assert "--magnetometer 2" in diagnosis_page(found, "t").next_step
 
 
@@ -131,7 +131,7 @@ def test_a_step_that_the_other_alone_has_is_called_a_step(number: int) -> None:
     found = fluxtwin.diagnose(stepped, magnetometer=number)
     assert found.verdict == "no_gap"
     assert "a step 9000 s after the first sample" in found.sentence
-    assert f"To diagnose the other one, add --magnetometer {3 - number}." in found.sentence
+    assert f"To diagnose the other one, add magnetometer={3 - number}." in found.sentence
 
 
 def test_two_good_magnetometers_differ_by_the_noise_of_both() -> None:

@@ -133,16 +133,15 @@ class Watch:
         from fluxtwin.gap import watch_kernels
 
         corrected = self.calibration.apply(telemetry.mag_B_nT, telemetry.dipole_B_Am2, recorded_columns(telemetry))
-        usable = (
-            np.isfinite(corrected).all(axis=1) & telemetry.has_position
-        )  # one missing dipole would void all that follows
+        # One missing dipole would void all that follows.
+        usable = np.isfinite(corrected).all(axis=1) & telemetry.has_position
         if self.last is not None:
             usable = usable & (telemetry.time > self.last)
         self.innovations = np.zeros((0, 3))
         if not usable.any():
             return None
         used = telemetry if usable.all() else telemetry.select(usable)
-        rows = self._measured(used, by_size)
+        rows = self._measured(used, corrected[usable], by_size)
         before = used.time[:1] if self.last is None else np.array([self.last])
         steps_s = np.diff(np.concatenate([before, used.time])) / np.timedelta64(1, "s")
         decay = np.exp(-steps_s / self.noise.tau_s) if self.noise.tau_s > 0 else np.zeros(len(used))
@@ -160,12 +159,12 @@ class Watch:
         self.rows += 0 if not armed else len(used) if rang < 0 else rang + 1
         return None if rang < 0 else self._changed(used.time[rang])
 
-    def _measured(self, used: Telemetry, by_size: bool) -> tuple[Any, ...]:
-        """What the filter takes of rows: y, load, white, present, faults, field; as in `watch_kernels.run_rows`."""
+    def _measured(self, used: Telemetry, reading: FloatArray, by_size: bool) -> tuple[Any, ...]:
+        """What the filter takes of rows, the reading (N, 3) corrected: y, load, white, present, faults, field; as in
+        `watch_kernels.run_rows`."""
         raw, field_N = used.mag_B_nT, field_N_nT(self.model, used.time, np.asarray(used.r_N_km))
         dipole = used.dipole_B_Am2
         size, rows, n = np.linalg.norm(field_N, axis=1), len(used), len(self.state)
-        reading = self.calibration.apply(raw, dipole, recorded_columns(used))
         matrix, sigma = np.eye(3) + self.calibration.S, self.noise.white_nT
         load, white, faults = np.zeros((rows, 3, n)), np.empty((rows, 3, 3)), np.empty((rows, 3, 4))
         white[:], faults[:, :, :3] = matrix * sigma, -matrix * sigma

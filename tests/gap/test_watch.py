@@ -75,7 +75,7 @@ def test_a_row_says_what_the_densities_say(record: Telemetry) -> None:
     for by_size in (False, True):
         watch = begin(record.select(slice(0, FIRST)), MODEL, Budget(attitude_sigma_rad=float(np.radians(0.1))))
         row = record.select(slice(FIRST, FIRST + 1))
-        y, load, white, present, faults, field = watch._measured(row, by_size)
+        y, load, white, present, faults, field = watch._measured(row, watch.calibration.apply(row.mag_B_nT), by_size)
         P, x = watch.covariance.copy(), watch.state.copy()
         phi = np.exp(-10.0 / watch.noise.tau_s)
         keep = np.where(np.arange(len(x)) < 3, phi, 1.0)

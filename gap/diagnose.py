@@ -24,7 +24,7 @@ from fluxtwin.gap.law.words import beside_names
 from fluxtwin.gap.linear.projection import ProjectedResidual, projected
 from fluxtwin.gap.noise.choice import NoiseModel, choose_noise, complete_budget, likely_noises, prior_of, whitener_of
 from fluxtwin.gap.noise.whitening import with_walk
-from fluxtwin.gap.posterior.explanations import Answer, Parameters, noise_and_answer, without_names
+from fluxtwin.gap.posterior.explanations import Answer, noise_and_answer, without_names
 from fluxtwin.gap.posterior.structured import Structured
 from fluxtwin.gap.posterior.torques import balanced
 from fluxtwin.gap.posterior.where import where
@@ -35,6 +35,7 @@ from fluxtwin.gap.report import input_warnings, verdict, words
 from fluxtwin.gap.report.verdict import Work
 from fluxtwin.gap.selection.criterion import FEWEST, THRESHOLD
 from fluxtwin.gap.selection.detectable import detectable
+from fluxtwin.gap.selection.forward import Parameters
 from fluxtwin.gap.selection.refit import Readings, refit, settled
 from fluxtwin.sim.base.errors import NoAnswer, amount
 from fluxtwin.sim.base.progress import Progress, silent

@@ -125,12 +125,12 @@ def _not_reported(effect: Effect, problem: Problem) -> str | None:
 
 
 def settings_of(effect: Effect) -> dict[str, object]:
-    """Settings of an effect that can be written in a word: numbers, words, flags, the edges of a region, a direction."""
+    """Settings of an effect that can be written in a word: numbers, words, flags, region edges, a panel's normal."""
     given = {item.name: getattr(effect, item.name) for item in fields(effect) if item.compare}
     return {
         key: list(value) if isinstance(value, tuple) else value
         for key, value in given.items()
-        if isinstance(value, int | float | str) or (isinstance(value, tuple) and len(value) <= 4)
+        if isinstance(value, int | float | str) or (key in ("region_deg", "panel") and value is not None)
     }
 
 

@@ -32,7 +32,7 @@ from fluxtwin.gap.noise.choice import (
 )
 from fluxtwin.gap.problem.problem import Problem
 from fluxtwin.gap.selection.criterion import LOG_FURTHER, SHAPE, THRESHOLD, penalty, worth_of_shape
-from fluxtwin.gap.selection.forward import Search, begin, run, without
+from fluxtwin.gap.selection.forward import Parameters, Search, begin, run, without
 from fluxtwin.gap.selection.refit import Fit, Readings
 from fluxtwin.gap.selection.score import Board
 from fluxtwin.gap.selection.search import SearchResult, by_gain, result_of
@@ -42,8 +42,6 @@ from fluxtwin.sim.effects.chain import Active
 
 Known = tuple[list[Candidate], dict[str, str]]
 """What `candidates` gives for a problem."""
-Parameters = Mapping[frozenset[str], Sequence[Active]]
-"""Of sets of effects that were fitted, by their labels."""
 _Searched = tuple[Search[Readings], dict[str, str], list[tuple[Fit, Board]]]
 """A search, names that cannot be tested with the reason, and the path that it took."""
 ROUNDS = 2

@@ -287,8 +287,8 @@ class Structured:
             left = projected(whitener, answer.result.residual_nT, answer.fitted_nT)
             setting = self.problem.setting
             longer = wheel_line(setting, left, line_near(setting.seconds, left, fast.line.frequency_Hz))
-            longer_or_not = longer if longer is not None and longer.confirmed else wheel
-            return self.given([*answer.shapes, longer_or_not], answer)
+            shape = longer if longer is not None and longer.confirmed else wheel
+            return self.given([*answer.shapes, shape], answer)
         if answer.left.structured and answer.left.kind != "tone":
             return answer  # but a slower line may be this one, seen in some rows only
         words = f"a line at a period of {1 / fast.line.frequency_Hz:.3g} s, in the full rate"

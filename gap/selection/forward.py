@@ -39,6 +39,8 @@ _ALIKE = 1  # decimals of a cost: where causes are alike to rounding, that of th
 RATIOS = (1.5, 1.25, 1.12)
 """By which a setting is moved to either side, between the few values of it that were tried."""
 
+Parameters = Mapping[frozenset[str], Sequence[Active]]
+"""Of sets of effects that were fitted, by their labels."""
 
 OfChannel = TypeVar("OfChannel", bound=Channel)
 
@@ -58,7 +60,7 @@ class Search(Generic[OfChannel]):
     tested_before: int
     """Alternatives tested in other channels."""
     fits: dict[frozenset[str], Fit] = field(default_factory=dict)
-    earlier: Mapping[frozenset[str], Sequence[Active]] = field(default_factory=dict)
+    earlier: Parameters = field(default_factory=dict)
     """Parameters of sets that were fitted in another noise: near those in this one."""
 
     def same_cause(self, numbers: Sequence[int]) -> bool:
@@ -91,7 +93,7 @@ class Search(Generic[OfChannel]):
         return self.fits[key]
 
     @property
-    def parameters(self) -> Mapping[frozenset[str], Sequence[Active]]:
+    def parameters(self) -> Parameters:
         """Of all sets that were fitted, here or earlier."""
         return {**self.earlier, **{key: fit.active for key, fit in self.fits.items()}}
 
@@ -146,7 +148,7 @@ def begin(
     channel: OfChannel,
     found: list[Candidate],
     tested_before: int = 0,
-    earlier: Mapping[frozenset[str], Sequence[Active]] | None = None,
+    earlier: Parameters | None = None,
 ) -> Search[OfChannel]:
     """Fit what is modelled, and score every candidate beside it, with those that its residual points to."""
     base = refit(channel)

@@ -81,9 +81,9 @@ class Search(Generic[OfChannel]):
         key = frozenset(self.found[number].label for number in numbers)
         if key not in self.fits:
             chosen = [(self.found[number].effect, theta) for number, theta in zip(numbers, start, strict=True)]
-            begins: list[tuple[Sequence[Active], FloatArray | None]]
+            begins: list[tuple[Sequence[Active], FloatArray]]
             if key in self.earlier:
-                begins = [(self.earlier[key], None)]
+                begins = [(self.earlier[key], self._image(self.base, numbers))]
             else:
                 parts = sorted((fit for some, fit in self.fits.items() if some < key), key=lambda one: one.chi2)
                 begins = [(part.active, self._image(part, numbers)) for part in (parts or [self.base])[:BEGINS]]

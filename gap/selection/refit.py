@@ -30,6 +30,7 @@ from fluxtwin.sim.effects.signal import Setting
 from fluxtwin.sim.effects.switched_field import SwitchedField
 
 _RCOND = 0.1 * float(np.sqrt(SHARE_LEFT))
+_STEPS = 24
 WHOLLY = 0.99  # of a parameter's direction
 
 
@@ -142,8 +143,8 @@ def refit(
 
     chosen, modelled: effects with starting values (modelled: the channel's own by default). near: where another fit has
     some of them; begun from there, without the others, unless none of the chosen is better still. guess (M, 3, c + p):
-    about the whitened Jacobian there. A Jacobian whose step did what it promised is used once more; the last one is
-    recomputed.
+    about the whitened Jacobian there, along which all else is first moved to meet what begins elsewhere. A Jacobian whose
+    step did what it promised is used once more; the last one is recomputed.
     """
     modelled = channel.modelled if modelled is None else modelled
     count, active = len(modelled), [*modelled, *chosen]
@@ -161,12 +162,16 @@ def refit(
             vector, residual, chi2 = begin, rest, chi2_there
             start = np.where(np.isnan(there), start, begin)
     if (start != vector).any():
+        if guess is not None:
+            start = _met(channel, active, start, guess, start == vector, (low, high), chi2)
         # From nothing, so that no fit ends worse than without: a clip is anything but linear.
         better = _search_line(channel, active, vector, start - vector, (low, high), chi2)
         vector, residual, chi2 = better or (vector, residual, chi2)
+    else:
+        guess = None  # where a fit ended a Jacobian of another place does not serve
     jacobian = channel.jacobian(_unpacked(active, vector)) if guess is None else guess
     exact = guess is None
-    for _ in range(24):
+    for _ in range(_STEPS):
         free = _free(jacobian, residual, vector, low, high)
         step = _step(jacobian, residual, free)
         promised = 2 * float(np.sum(residual * (jacobian @ step))) - float(np.sum((jacobian @ step) ** 2))
@@ -338,6 +343,31 @@ def covariance_of(jacobian: FloatArray, free: BoolArray) -> tuple[FloatArray, Bo
     covariance[np.ix_(free, free)] = (turned @ turned.T) / np.outer(length, length)
     seen[free] = np.sum(vectors[good] ** 2, axis=0) > WHOLLY
     return covariance, seen, int(good.sum())
+
+
+def _met(
+    channel: Channel,
+    active: Sequence[Active],
+    start: FloatArray,
+    jacobian: FloatArray,
+    stays: BoolArray,
+    limits: tuple[FloatArray, FloatArray],
+    wanted: float,
+) -> FloatArray:
+    """The start, with the parameters that were left where they are moved along their images to meet those that were moved,
+    until chi-square is below what is wanted or falls no further.
+
+    A lag turns the field of a spinner by many degrees, and so does its calibration: neither is better without the other.
+    """
+    residual = channel.residual(_unpacked(active, start))
+    found: tuple[FloatArray, FloatArray, float] | None = start, residual, float(np.sum(residual**2))
+    for _ in range(_STEPS):
+        if found is None or found[2] < wanted:
+            break
+        start, residual, chi2 = found
+        step = _step(jacobian, residual, stays & moving(jacobian))
+        found = _search_line(channel, active, start, step, limits, chi2)
+    return start if found is None else found[0]
 
 
 def _search_line(

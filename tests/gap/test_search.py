@@ -59,17 +59,19 @@ elevation_deg = 90.0
 azimuth_deg = 180.0
 elevation_deg = 20.0
 """
+SAMPLED = "duration_min = 290.0, step_s = 60.0"
 SCENARIO = scenario_text(
     SECTIONS + PARTS.replace("dipole_Am2 = 50.0", "dipole_Am2 = 20.0").replace("2000.0", "2003.7"),
     seed=1,
     inertia_kg_m2=[[10.0, 0.0, 0.0], [0.0, 12.0, 0.0], [0.0, 0.0, 15.0]],
     altitude_km=600.0,
     inclination_deg=97.8,
-    segment="duration_min = 290.0, step_s = 60.0",
+    segment=SAMPLED,
 )
 ATTITUDES = {
     "nadir": 'mode = "earth_pointing"\nyaw_rms_deg = 3.0\nroll_rms_deg = 3.0\npitch_rms_deg = 3.0',
     "tumble": 'mode = "tumble"\nrate_deg_s = [0.12, 0.08, 0.2]',
+    "spin": 'mode = "tumble"\nrate_deg_s = [0.0, 0.0, 14.0]',
 }
 VISIBLE_NT = 25.0
 NOISE = NoiseModel(20.0, np.radians(0.03), 150.0)
@@ -148,8 +150,8 @@ class Design:
 
 
 @cache
-def design(kind: str) -> Design:
-    scenario = parse_scenario(SCENARIO.replace("ATTITUDE", ATTITUDES[kind]))
+def design(kind: str, sampled: str = SAMPLED) -> Design:
+    scenario = parse_scenario(SCENARIO.replace("ATTITUDE", ATTITUDES[kind]).replace(SAMPLED, sampled))
     problem = pose(simulate(scenario)[0], load_field("igrf14"))
     whitener = make_whitener(turn_images(problem.field_B_nT), problem.setting.seconds, problem.segment, NOISE)
     return Design(problem, whitener, begun_on(problem, whitener))
@@ -462,3 +464,14 @@ def test_a_refit_near_another_is_the_same_for_less() -> None:
     assert abs(again.chi2 - first.chi2) < 0.02, "a hundredth is left to chance on either way"
     worse = [(effect, theta + 1e5) if effect is not lag else (effect, theta) for effect, theta in first.active]
     assert abs(refit(data, [(lag, np.array([1.0]))], near=worse).chi2 - first.chi2) < 0.02, "begun without the lag"
+
+
+def test_the_calibration_is_moved_to_meet_a_lag_that_turns_the_field_of_a_spinner() -> None:
+    """Without the lag the calibration has its turn: either moved alone is worse, and together they are far from linear."""
+    here, lag = design("spin", "duration_min = 100.0, step_s = 10.0"), SensorLag()
+    data = Readings(here.data([(lag, np.array([0.4]))], seed=6), here.whitener)
+    base, start = refit(data), (lag, np.array([0.4]))
+    image = data.jacobian([*base.active, (lag, np.zeros(1))])
+    fit = refit(data, [start], near=base.active, guess=image)
+    assert fit.chi2 < data.measured + 4.0 * np.sqrt(2.0 * data.measured) < base.chi2
+    assert abs(fit.chosen[0][1][0] - 0.4) < 0.02

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from fluxtwin.sim.base.late import bridged, lateness_near, lateness_tried, varies
+from fluxtwin.sim.base.late import bridged, lateness_near, lateness_tried, restarts, varies
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.effects.base import MATRIX, Parameter, SpacecraftField, held, known_column, mapped, vector_parameters
 from fluxtwin.sim.effects.drivers import (
@@ -293,8 +293,8 @@ class Driver(SpacecraftField):
 class WheelField(SpacecraftField):
     """Field of a dipole that rotates with a wheel.
 
-    The phase is the integral of the recorded speed of wheel number `wheel` (linear between stamps), or, where
-    `frequency_Hz` is given, of that constant frequency; the sampling aliases both. A speed known to d rpm holds
+    The phase is the integral of the recorded speed of wheel number `wheel` (linear between stamps, smooth over gaps), or,
+    where `frequency_Hz` is given, of that constant frequency; the sampling aliases both. A speed known to d rpm holds
     the phase for about 60 / (2 pi d) seconds only.
     """
 
@@ -317,6 +317,9 @@ class WheelField(SpacecraftField):
         if rate is None:
             return None
         turned = 0.5 * (rate[1:] + rate[:-1]) * np.diff(setting.seconds)
+        # Over five minutes a straight line misses a turn or two of a wheel that takes up the torques of an orbit.
+        for row in np.flatnonzero(restarts(setting.seconds)[1:]).tolist():
+            turned[row] = _turned_over_gap(setting.seconds, rate, row)
         return np.concatenate([[0.0], np.cumsum(turned)]) + rate * offset_s
 
     def _rate_rad_s(self, setting: Setting) -> FloatArray | None:
@@ -348,6 +351,15 @@ class WheelField(SpacecraftField):
         if phase is None:
             return signal
         return signal.with_stray(np.cos(phase)[:, None] * theta[:3] + np.sin(phase)[:, None] * theta[3:])
+
+
+def _turned_over_gap(seconds: FloatArray, rate: FloatArray, row: int) -> float:
+    """The integral of a rate over the gap after a row, by the cubic nearest to the rows within a gap's length of it."""
+    begin, end = seconds[row], seconds[row + 1]
+    first, last = np.searchsorted(seconds, [2.0 * begin - end, 2.0 * end - begin])
+    near = slice(int(first), int(last))
+    course = np.polynomial.Polynomial.fit(seconds[near], rate[near], min(3, int(last - first) - 1)).integ()
+    return float(course(end) - course(begin))
 
 
 @dataclass(frozen=True)

@@ -243,6 +243,20 @@ def test_wheels_are_alternatives(full: Chain) -> None:
     assert WheelField(frequency_Hz=0.01).alternatives(full.setting) == (WheelField(frequency_Hz=0.01),)
 
 
+def test_the_phase_of_a_wheel_lasts_over_gaps(full: Chain) -> None:
+    """A speed that swings once an orbit: over each of eight gaps of eleven rows a straight line may miss a radian."""
+    whole = full.setting
+    kept = np.flatnonzero(np.arange(160) % 20 < 10)
+    time, rate = whole.time[kept], 2.0 * np.pi / 5800.0
+    motion = RecordedMotion(time, *(part[kept] for part in whole.given))
+    speed_rpm = 3000.0 + 40.0 * np.sin(rate * whole.seconds[kept])
+    setting = dataclasses.replace(whole, time=time, motion=motion, columns={"wheel_speed_rpm": speed_rpm})
+    seconds = setting.seconds
+    turns = 50.0 * seconds + 40.0 / 60.0 * (1.0 - np.cos(rate * seconds)) / rate
+    # Straight lines between the other stamps may add up to a tenth of a radian.
+    np.testing.assert_allclose(WheelField().phase_rad(setting), 2.0 * np.pi * turns, rtol=0.0, atol=0.2)
+
+
 def test_conditions_of_a_switched_field(full: Chain) -> None:
     setting = full.setting
     tried = [choice.condition for choice in SwitchedField().alternatives(setting)]

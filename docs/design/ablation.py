@@ -84,7 +84,7 @@ RULES: dict[str, dict[str, Any]] = {
         f"{GAP}.posterior.structured.Structured._without_a_step": lambda *given: iter([given[2:]])
     },
     "companions of a wheel's line": {f"{GAP}.posterior.structured.companion": _no},
-    "a region in the dark": {f"{GAP}.posterior.structured.switched_region": _none},
+    "a region": {f"{GAP}.posterior.structured.switched_region": _none},
     "S set anew beside the names": {f"{GAP}.diagnose._beside_the_names": lambda problem, _: problem},
     "white noise of each axis": {f"{GAP}.noise.choice._axis_factor": lambda *given: given[2]},
     "several names likelier wrong than right": {f"{GAP}.report.verdict.likelier_unknown": _no},
@@ -107,9 +107,9 @@ RULES: dict[str, dict[str, Any]] = {
     "check: a block does as well": {
         f"{GAP}.detectors.{name}.does_as_well": _no_faults for name in ("lines", "switched")
     },
-    "check: an irregular thermostat": {f"{GAP}.detectors.switched._regularity": lambda *_: 0.0},
-    "check: a thermostat that is a line": {f"{GAP}.detectors.switched.stands_out": _no},
-    "a sequence polished": {f"{GAP}.detectors.switched._polished": lambda _, on: on},
+    "check: an irregular thermostat": {f"{GAP}.detectors.thermostat._regularity": lambda *_: 0.0},
+    "check: a thermostat that is a line": {f"{GAP}.detectors.thermostat.stands_out": _no},
+    "a sequence polished": {f"{GAP}.detectors.thermostat._polished": lambda _, on: on},
 }
 
 

@@ -90,8 +90,8 @@ SETTINGS = {
     "wheel_field": "the phase is that of `wheel` (1), or of the constant `frequency_Hz`",
     "switched_field": (
         '`condition` ("eclipse"): also `flag:NAME`, `night`, `interval` (`from_utc`, `to_utc`), `region` '
-        "(`region_deg`: south, north, west, east); `eclipse` and `night` with a `region_deg` hold inside "
-        "it only"
+        "(`region_deg`: south, north, west, east, or latitude, longitude and radius of a circle); `eclipse` and "
+        "`night` with a `region_deg` hold inside it only"
     ),
     "boom_bending": (
         "straight at `reference_degC` (mean); if no temperature is recorded, it follows sun and shadow with "

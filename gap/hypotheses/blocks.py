@@ -204,13 +204,12 @@ class Carrier:
         self.field_B_nT = problem.design.signal([*problem.frozen, *problem.modelled_active]).field_B_nT
         r_E_km = setting.R_EN.apply(r)
         R_BE = R_BN * setting.R_EN.inv()
-        R_NEC_E = frames.rotation_NEC_E(r_E_km)
         self.turns = {
             "body": np.broadcast_to(np.eye(3), (self.rows, 3, 3)),
             "inertial": R_BN.as_matrix(),
             "earth": R_BE.as_matrix(),
             "orbital": (R_BN * setting.R_ON.inv()).as_matrix(),
-            "local": (R_BE * R_NEC_E.inv()).as_matrix(),
+            "local": local_axes(setting),
         }
         gradient = field_gradient_E_nT_km(setting.model, setting.time, r_E_km)
         R_EO = (setting.R_EN * setting.R_ON.inv()).as_matrix()
@@ -270,6 +269,13 @@ class Carrier:
     def induced(self) -> FloatArray:
         """(N, 3, 9) the slope of each component of the field in each axis: what eddy currents follow."""
         return in_body(self.delayed_nT_s)
+
+
+def local_axes(setting: Setting) -> FloatArray:
+    """(N, 3, 3) north, east and down as columns in body axes."""
+    r, _, R_BN = setting.given
+    R_NEC_E = frames.rotation_NEC_E(setting.R_EN.apply(r))
+    return np.asarray((R_BN * setting.R_EN.inv() * R_NEC_E.inv()).as_matrix())
 
 
 def blocks(problem: Problem, perturbed: PerturbedDesign | None = None) -> tuple[Block, ...]:

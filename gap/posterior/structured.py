@@ -1,4 +1,4 @@
-"""Causes with a waveform of their own (a line, a sequence, a region in the dark, a walk) among the named effects.
+"""Causes with a waveform of their own (a line, a sequence, a region, a walk) among the named effects.
 
 Such a waveform is not among the catalogue's images, so the search explains it by several effects that each take a
 little of it. Where one is found, effects are therefore sought afresh given it: a line or a sequence is fitted in every
@@ -26,7 +26,8 @@ from fluxtwin.gap.detectors.lines import (
 )
 from fluxtwin.gap.detectors.random_walk import random_walk
 from fluxtwin.gap.detectors.residual_structure import Structure, residual_structure
-from fluxtwin.gap.detectors.switched import heater_sequence, log_sequences, switched_region, upper_of_two
+from fluxtwin.gap.detectors.switched_region import switched_region
+from fluxtwin.gap.detectors.thermostat import heater_sequence, log_sequences, upper_of_two
 from fluxtwin.gap.hypotheses.blocks import Dictionary, in_body
 from fluxtwin.gap.linear.projection import ProjectedResidual, projected
 from fluxtwin.gap.noise.choice import NoiseModel, Whitener, choose_noise, whitener_of
@@ -165,7 +166,7 @@ class Structured:
         left: Structure,
         chosen: Sequence[Active],
     ) -> Iterator[Finding | None]:
-        """A line whose waveform a residual (N, 3) has, then a region in the dark and a thermostat, that of more worth first.
+        """A line whose waveform a residual (N, 3) has, then a region and a thermostat, that of more worth first.
 
         chosen: named effects; a companion of a named wheel's line is that wheel once more.
         """

@@ -12,6 +12,7 @@ from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.effects.base import SpacecraftField, known_column, vector_parameters
 from fluxtwin.sim.effects.drivers import lit
+from fluxtwin.sim.effects.region import WANTED, depth_deg, region_words
 from fluxtwin.sim.effects.signal import Setting
 
 FLAG = "flag:"
@@ -96,8 +97,9 @@ class SwitchedField(SpacecraftField):
     condition: str = "eclipse"
     from_utc: str | None = None
     to_utc: str | None = None
-    region_deg: tuple[float, float, float, float] | None = None
-    """Southern and northern geocentric latitude, western and eastern longitude; west > east crosses 180."""
+    region_deg: tuple[float, ...] | None = None
+    """Southern and northern geocentric latitude, western and eastern longitude (west > east crosses 180), or latitude,
+    longitude and radius of a circle."""
 
     parameters = vector_parameters("f", "nT", 100.0)
 
@@ -151,13 +153,7 @@ class SwitchedField(SpacecraftField):
     @property
     def region_words(self) -> str:
         """The region, to read; empty where there is none."""
-        if self.region_deg is None:
-            return ""
-        south, north, west, east = self.region_deg
-        latitudes = " to ".join(f"{abs(a):g} {'N' if a >= 0 else 'S'}" for a in (south, north))
-        turned = [(a + 180.0) % 360.0 - 180.0 for a in (west, east)]
-        longitudes = " to ".join(f"{abs(a):g} {'E' if a >= 0 else 'W'}" for a in turned)
-        return f"{latitudes}, {longitudes}"
+        return "" if self.region_deg is None else region_words(self.region_deg)
 
     @property
     def bound(self) -> str | None:
@@ -177,11 +173,8 @@ def _dark(setting: Setting, condition: str) -> FloatArray:
     return np.asarray(height < 0.0, dtype=np.float64)
 
 
-def _inside_region(setting: Setting, region_deg: tuple[float, float, float, float] | None) -> FloatArray:
+def _inside_region(setting: Setting, region_deg: tuple[float, ...] | None) -> FloatArray:
     if region_deg is None:
-        raise BadInput("no region", where="switched_field", wanted="region_deg = [south, north, west, east]")
-    south, north, west, east = region_deg
+        raise BadInput("no region", where="switched_field", wanted=WANTED)
     latitude, longitude = (np.degrees(a) for a in setting.geocentric[:2])
-    width = east - west if east - west >= 360.0 else np.mod(east - west, 360.0)
-    inside = (latitude >= south) & (latitude <= north) & (np.mod(longitude - west, 360.0) <= width)
-    return inside.astype(np.float64)
+    return (depth_deg(latitude, longitude, region_deg) >= 0.0).astype(np.float64)

@@ -11,14 +11,16 @@ import numpy as np
 import pytest
 from worlds import scenario_text
 
-from fluxtwin.gap.detectors import lines, switched
+from fluxtwin.gap.detectors import lines, thermostat
+from fluxtwin.gap.detectors import switched_region as regions
 from fluxtwin.gap.detectors.codes import coarse_steps, flipped_bits, hidden_flips, noise_level, stuck_bit
 from fluxtwin.gap.detectors.finding import Finding
 from fluxtwin.gap.detectors.lines import companion, strongest_line, wheel_line
 from fluxtwin.gap.detectors.random_walk import modes_of_a_walk, random_walk
 from fluxtwin.gap.detectors.residual_structure import drift, judge
-from fluxtwin.gap.detectors.switched import _Place, _place, _scatter, _snug, heater_sequence
-from fluxtwin.gap.hypotheses.blocks import Block, blocks, fit
+from fluxtwin.gap.detectors.switched_region import _Place, _place, _snug, switched_region
+from fluxtwin.gap.detectors.thermostat import _scatter, heater_sequence
+from fluxtwin.gap.hypotheses.blocks import Block, blocks, fit, local_axes
 from fluxtwin.gap.linear.projection import ProjectedResidual, projected
 from fluxtwin.gap.noise.whitening import NoiseModel, Whitener, likeliest_rate, make_whitener, with_walk
 from fluxtwin.gap.posterior import structured
@@ -26,8 +28,10 @@ from fluxtwin.gap.posterior.structured import Structured
 from fluxtwin.gap.problem.problem import Problem, pose
 from fluxtwin.gap.problem.row_axes import turn_images
 from fluxtwin.sim.earth.field_models import load_field
+from fluxtwin.sim.earth.frames import from_geocentric
 from fluxtwin.sim.effects.digits import ExcessNoise
 from fluxtwin.sim.effects.spacecraft_field import WheelField
+from fluxtwin.sim.effects.switched_field import SwitchedField
 from fluxtwin.sim.run.simulate import simulate
 from fluxtwin.sim.scenario.scenario import parse_scenario
 
@@ -88,6 +92,7 @@ class Bench:
             noise_level(left, SIGMA_NT, SIGMA_NT, None if verdict.structured else 0.0),
             wheel_line(setting, left, line, fits),
             heater_sequence(setting, left, residual, self.calibration, fits, line),
+            switched_region(self.problem, left, fits),
             random_walk(setting.seconds, left, SIGMA_NT),
         ]
         return {one.name for one in findings if one is not None and one.confirmed}
@@ -352,9 +357,9 @@ def test_the_edges_of_as_many_switches_as_are_allowed_are_moved(
     """Two switches, of which one is a row late; likelier is what has more rows right."""
     truth, nothing = np.arange(20) // 5 == 1, SimpleNamespace()
     found = truth & (np.arange(20) != 5)
-    monkeypatch.setattr(switched, "_MOST_SWITCHES", most)
-    monkeypatch.setattr(switched, "_worth", lambda left, on: 10.0 * np.sum(on == truth))
-    again = switched._polished(nothing, found)  # type: ignore[arg-type]
+    monkeypatch.setattr(thermostat, "_MOST_SWITCHES", most)
+    monkeypatch.setattr(thermostat, "_worth", lambda left, on: 10.0 * np.sum(on == truth))
+    again = thermostat._polished(nothing, found)  # type: ignore[arg-type]
     assert np.array_equal(again, truth if polished else found)
 
 
@@ -380,16 +385,43 @@ def test_of_two_regions_the_one_that_explains_more_is_found(monkeypatch: pytest.
     """On a grid of ground points without noise: 90 nT over one region and 30 nT over another, far away."""
     latitude, longitude = (axis.ravel() for axis in np.mgrid[-60.0:61.0:4.0, -180.0:177.0:4.0])
     place = _Place(latitude, longitude, {"night": longitude >= -90.0})
-    strong, weak = place.inside((20.0, 40.0, 32.0, 60.0)), place.inside((-52.0, -40.0, -60.0, -32.0))
+    strong, weak = (place.on("night", box) for box in ((20.0, 40.0, 32.0, 60.0), (-52.0, -40.0, -60.0, -32.0)))
     signal_nT = np.where(strong, 90.0, np.where(weak, 30.0, 0.0))
 
     def drop(left: Any, image: np.ndarray) -> Any:  # of a sum of squares, by a constant fitted in the rows
         on = image[:, 0, 0] > 0.0
         return SimpleNamespace(drop=signal_nT[on].sum() ** 2 / on.sum())
 
-    monkeypatch.setattr(switched, "fitted", drop)
-    found = switched._Search(SimpleNamespace(), place).best()  # type: ignore[arg-type]
-    assert found is not None and found[1] == pytest.approx((20.0, 40.0, 32.0, 60.0), abs=4.0)
+    monkeypatch.setattr(regions, "fitted", drop)
+    (condition, box), _ = regions._Search(SimpleNamespace(), place).best()  # type: ignore[arg-type]
+    assert condition == "night" and box == pytest.approx((20.0, 40.0, 32.0, 60.0), abs=4.0)
+
+
+@pytest.mark.parametrize("of_the_earth", [False, True])
+def test_a_field_over_a_region_has_sharper_edges_than_one_of_the_earth(bench: Bench, of_the_earth: bool) -> None:
+    """300 nT within 30 deg of a place, on at once; and the same of a magnetised part of the Earth, 550 km below."""
+    setting, centre = bench.problem.setting, (-20.0, 60.0, 30.0)
+    away = np.degrees(
+        _angle(setting.R_EN.apply(setting.given[0]), from_geocentric(*np.radians([[-20.0], [60.0]]), 1.0))
+    )
+    share = 0.5 + np.arctan(np.radians(30.0 - away) * 6378.0 / 550.0) / np.pi if of_the_earth else (away <= 30.0) * 1.0
+    assert (share > 0.5).sum() > 40
+    axes = local_axes(setting) if of_the_earth else np.broadcast_to(np.eye(3), (share.size, 3, 3))
+    signal = share[:, None] * (axes @ [200.0, -150.0, 170.0])
+    signal += SIGMA_NT * np.random.default_rng(7).standard_normal(signal.shape)
+    left = projected(bench.whitener, signal, bench.calibration)
+    found = switched_region(bench.problem, left, ())
+    assert found is not None and isinstance(found.effect, SwitchedField) and found.effect.condition == "region"
+    assert found.confirmed is not of_the_earth, found.words
+    if not of_the_earth:
+        assert found.effect.region_deg == pytest.approx(centre, abs=3.0)  # tracks are some 25 deg apart, rows 1.9
+    else:
+        assert found.faults[0].startswith("a local error of the Earth's field")
+
+
+def _angle(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """(N,) angle between vectors, by the arctangent."""
+    return np.arctan2(np.linalg.norm(np.cross(one, other), axis=1), np.sum(one * other, axis=1))
 
 
 def test_a_multiple_of_a_wheel_is_no_second_wheel(bench: Bench) -> None:

@@ -20,6 +20,7 @@ from fluxtwin.sim.effects.calibration import BiasRandomWalk, BiasStep
 from fluxtwin.sim.effects.catalogue import CATALOGUE, find_effect
 from fluxtwin.sim.effects.chain import Chain, jacobian
 from fluxtwin.sim.effects.digits import BitErrors, CoarseQuantization, ExcessNoise
+from fluxtwin.sim.effects.region import depth_deg
 from fluxtwin.sim.effects.response import Saturation
 from fluxtwin.sim.effects.signal import Setting
 from fluxtwin.sim.effects.spacecraft_field import BatteryCurrent, SolarArrayCurrent, WheelField
@@ -279,6 +280,21 @@ def test_conditions_of_a_switched_field(full: Chain) -> None:
     dark_east = SwitchedField("night", region_deg=(-90.0, 90.0, 0.0, 180.0))
     np.testing.assert_array_equal(dark_east.values(setting), on["night"] * east)
     assert dark_east.region_words == "90 S to 90 N, 0 E to 180 W"
+    cap = SwitchedField("region", region_deg=(90.0, 0.0, 30.0))  # what a circle about a pole holds is a latitude
+    np.testing.assert_array_equal(cap.values(setting), polar)
+    assert cap.region_words == "30 deg about 90 N, 0 E"
+    with pytest.raises(BadInput, match="a region of 2 numbers"):
+        SwitchedField("region", region_deg=(1.0, 2.0)).values(setting)
+
+
+def test_how_far_within_a_region_points_lie() -> None:
+    """On the equator and along a meridian a degree is a degree; along the parallel of 60 deg it is half of one."""
+    latitude, longitude = np.array([0.0, 0.0, 50.0, 60.0]), np.array([178.0, -170.0, 180.0, 179.0])
+    box = (-70.0, 90.0, 175.0, -165.0)
+    np.testing.assert_allclose(depth_deg(latitude, longitude, box), [3.0, 5.0, 5.0 * np.cos(np.radians(50.0)), 2.0])
+    away = depth_deg(latitude[:3], longitude[:3], (0.0, 180.0, 10.0))
+    np.testing.assert_allclose(away, [8.0, 0.0, -40.0], atol=1e-9)
+    np.testing.assert_array_equal(depth_deg(latitude, longitude, (-90.0, 90.0, -180.0, 180.0)), np.inf)
 
 
 @pytest.mark.parametrize(

@@ -1,19 +1,13 @@
-"""A field that is on or off, by a place in the dark or by a thermostat nobody recorded: found in the residual.
+"""A field switched by a thermostat that nobody recorded: found in the residual.
 
-*In the dark over a part of the Earth.* Boxes of latitude and longitude are tried by night and in shadow over all places that
-the record passes, and the best is refined edge by edge. Any patch of wrong field looks a little like that, so the name is
-given only if the same box by day has nothing of it (a field of the Earth's own is there by day too), and if no block of
-columns does as well.
-
-*By a thermostat.* Two levels and a penalty for each switch (Viterbi's algorithm), in turn with the field vector (least
-squares in whitened units). Any slow signal can be cut into two levels, so the sequence is only called a heater's if it
-switches more regularly than a random telegraph, if no block of columns does as well, and if no line is left given it.
+Two levels and a penalty for each switch (Viterbi's algorithm), in turn with the field vector (least squares in whitened
+units). Any slow signal can be cut into two levels, so the sequence is only called a heater's if it switches more regularly
+than a random telegraph, if no block of columns does as well, and if no line is left given it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -26,146 +20,14 @@ from fluxtwin.gap.detectors.finding import Finding, Fitted, does_as_well, fitted
 from fluxtwin.gap.detectors.lines import Line, line_columns
 from fluxtwin.gap.hypotheses.blocks import BlockFit, in_body
 from fluxtwin.gap.linear.projection import ProjectedResidual
-from fluxtwin.gap.problem.problem import Problem
 from fluxtwin.gap.selection.criterion import THRESHOLD, worth
 from fluxtwin.sim.base.types import BoolArray, FloatArray
-from fluxtwin.sim.earth import frames
 from fluxtwin.sim.effects.drivers import lit
 from fluxtwin.sim.effects.signal import Setting
-from fluxtwin.sim.effects.switched_field import HeaterSwitching, SwitchedField
+from fluxtwin.sim.effects.switched_field import HeaterSwitching
 
-_FEWEST_ROWS = 20
-
-Box = tuple[float, float, float, float]
 _ROUNDS = 8
 _MOST_SWITCHES = 150
-
-
-@dataclass(frozen=True)
-class _Place:
-    """Where the rows are, in deg."""
-
-    latitude: FloatArray
-    longitude: FloatArray
-    dark: dict[str, BoolArray]
-
-    def inside(self, box: Box) -> BoolArray:
-        """(N,) rows whose ground point lies in the box."""
-        south, north, west, east = box
-        turn = np.mod(self.longitude - west, 360.0)
-        return np.asarray((self.latitude >= south) & (self.latitude <= north) & (turn <= np.mod(east - west, 360.0)))
-
-    def on(self, condition: str, box: Box) -> BoolArray:
-        """(N,) rows in which a field is on."""
-        return np.asarray(self.inside(box) & self.dark[condition])
-
-
-def switched_region(problem: Problem, left: ProjectedResidual, rivals: Sequence[BlockFit]) -> Finding | None:
-    """Look for a field switched on in the dark over a region; None where nothing like it is there.
-
-    left: whitened residual with what was fitted out; rivals: fits of the design's blocks to it.
-    """
-    place = _place(problem.setting)
-    search = _Search(left, place)
-    best = search.best()
-    if best is None:
-        return None
-    condition, box = best
-    effect = SwitchedField(condition, region_deg=box)
-    images = problem.derivatives([(effect, np.zeros(3))])
-    found = fitted(left, images, 4)  # the edges are estimated with the field
-    value = found.worth(float(np.log(len(search.known))), 4)
-    if value <= THRESHOLD:
-        return None
-    faults = does_as_well(value, found, rivals)
-    day = place.inside(box) & ~place.on(condition, box)
-    if day.sum() < _FEWEST_ROWS:
-        faults.append(
-            "the record has no daytime pass over the region, so a local error of the Earth's field would look the same"
-        )
-    elif stands_out(left, images, in_body(day.astype(float))):
-        faults.append("it is present by day as well")
-    what = f"a field by {condition}, {effect.region_words}"
-    return Finding(effect, found.size, found.sigma, value, what, tuple(faults))
-
-
-class _Search:
-    """The boxes that were tried."""
-
-    def __init__(self, left: ProjectedResidual, place: _Place) -> None:
-        self.left, self.place = left, place
-        self.known: dict[bytes, float] = {}
-        """By rows in which the field is on, what it explains."""
-
-    def best(self) -> tuple[str, Box] | None:
-        """Condition and box of the field that explains most, refined edge by edge."""
-        trials = [trial for trial in _coarse(self.place) if self._gain(*trial) > 0.0]
-        if not trials:
-            return None
-        condition, box = max(trials, key=lambda trial: self._gain(*trial))
-        for _ in range(6):
-            moved = max(_moved(box), key=lambda one: self._gain(condition, one))
-            if self._gain(condition, moved) <= self._gain(condition, box) + 1e-9:
-                break
-            box = moved
-        condition = max((condition, *self.place.dark), key=lambda one: self._gain(one, box))
-        return condition, _snug(self.place, box, self.place.on(condition, box))
-
-    def _gain(self, condition: str, box: Box) -> float:
-        """Drop of chi-square; nothing by a box of too few rows, or of most of those in the dark, as the place does
-        not matter then."""
-        on = self.place.on(condition, box)
-        if not _FEWEST_ROWS <= on.sum() <= 0.5 * self.place.dark[condition].sum():
-            return 0.0
-        key = on.tobytes()
-        if key not in self.known:
-            self.known[key] = fitted(self.left, in_body(on.astype(float))).drop
-        return self.known[key]
-
-
-def _place(setting: Setting) -> _Place:
-    latitude, longitude = (np.degrees(a) for a in frames.geocentric(setting.R_EN.apply(setting.given[0]))[:2])
-    dark = {}
-    for condition in ("night", "eclipse"):
-        on = SwitchedField(condition).values(setting)
-        if on is not None and 0.0 < on.mean() < 1.0:
-            dark[condition] = np.asarray(on > 0.5)
-    return _Place(latitude, longitude, dark)
-
-
-def _coarse(place: _Place) -> Iterator[tuple[str, Box]]:
-    """Boxes of two sizes, half a box apart, over all places that the record passes in the dark.
-
-    Night and shadow hardly differ: which of them it is, is asked when the box is found.
-    """
-    for condition, dark in list(place.dark.items())[:1]:
-        points = np.stack([place.latitude[dark], place.longitude[dark]], axis=1)
-        for half in (12.0, 20.0):
-            for latitude, longitude in (half * np.unique(np.rint(points / half), axis=0)).tolist():
-                wide = min(half / max(np.cos(np.radians(latitude)), 0.2), 90.0)
-                yield condition, _box(latitude - half, latitude + half, longitude - wide, longitude + wide)
-
-
-def _box(south: float, north: float, west: float, east: float) -> Box:
-    return (max(south, -90.0), min(north, 90.0), west, east)
-
-
-def _moved(box: Box) -> Iterator[Box]:
-    """The box with one edge moved."""
-    for edge in range(4):
-        for move in (1.0, 3.0, 9.0, -1.0, -3.0, -9.0):
-            south, north, west, east = (value + (move if place == edge else 0.0) for place, value in enumerate(box))
-            if south < north and west < east < west + 360.0:
-                yield _box(south, north, west, east)
-
-
-def _snug(place: _Place, box: Box, on: BoolArray) -> Box:
-    """The box that just holds its rows: of what lies beyond the record knows nothing."""
-    latitude = place.latitude[on]
-    eastward = box[2] + np.mod(place.longitude[on] - box[2], 360.0)
-    west, east = float(np.floor(eastward.min())), float(np.ceil(eastward.max()))
-    shift = 360.0 * float(np.floor((west + 180.0) / 360.0))
-    return float(np.floor(latitude.min())), float(np.ceil(latitude.max())), west - shift, east - shift
 
 
 def heater_sequence(

@@ -104,7 +104,7 @@ class Answer:
     handicap: float = 0.0
     """Twice the log likelihood that another noise model gives to an explanation without names."""
     shapes: tuple[Finding, ...] = ()
-    """Causes that are known by their own shape: a line, a sequence, a region in the dark, a walk."""
+    """Causes that are known by their own shape: a line, a sequence, a region, a walk."""
     fitted: Parameters = field(default_factory=dict)
     """All that was fitted on the way."""
 

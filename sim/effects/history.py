@@ -6,6 +6,7 @@ All run along the rows once, in kernels that are compiled when first used.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -91,6 +92,10 @@ class FieldHistory:
 
 def field_history(signal: Signal) -> FieldHistory:
     """What the body has seen, from the field stage on."""
+    return signal.of_ambient("field_history", partial(_field_history, signal))
+
+
+def _field_history(signal: Signal) -> FieldHistory:
     setting, track = signal.setting, signal.R_track_BN
     again = restarts(setting.seconds)
     step = np.where(again, 0.0, np.diff(setting.seconds, prepend=setting.seconds[0]))

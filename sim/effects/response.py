@@ -39,7 +39,7 @@ def products(reading_B_nT: FloatArray, degree: int) -> FloatArray:
     """(N, M) products of the components (N, 3), in units of the standard field, in the order of `monomials`."""
     unit = dict(zip("xyz", np.ascontiguousarray(reading_B_nT.T) / STANDARD_FIELD_NT, strict=True))
     columns = [reduce(np.multiply, [unit[letter] for letter in name]) for name in monomials(degree)]
-    return np.stack(columns, axis=1)
+    return np.stack(columns).T  # each product in one piece of memory: `mapped` then takes a third of the time
 
 
 @dataclass(frozen=True)
@@ -141,7 +141,8 @@ class Hysteresis(SignalEffect):
 
     def _behind(self, signal: Signal) -> FloatArray:
         """(N, 3) (y - x) / w."""
-        seconds, field, stamps = field_history(signal).closely(_PARTS)
+        # A field of the spacecraft that is varied changes only what is added to this.
+        seconds, field, stamps = signal.of_ambient("closely", lambda: field_history(signal).closely(_PARTS))
         if signal.stray_B_nT is not None:
             stray = [np.interp(seconds, seconds[stamps], axis) for axis in signal.stray_B_nT.T]
             field = field + np.stack(stray, axis=1)

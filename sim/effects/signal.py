@@ -12,7 +12,7 @@ import dataclasses
 from collections.abc import Callable, Hashable, Mapping, MutableMapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Literal, Protocol
+from typing import Any, Literal, Protocol, TypeVar
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -27,6 +27,7 @@ from fluxtwin.sim.earth.orbit import argument_of_latitude
 from fluxtwin.sim.spacecraft.sensors.magnetometer import Magnetometer
 
 Direction = Literal["simulate", "predict"]
+Made = TypeVar("Made")
 
 _BESIDE_S = 0.05  # to either side of a moment, for the body rate there: a spin of ten turns a second is still seen
 _REMEMBERED = 4
@@ -204,7 +205,7 @@ class Signal:
     """Reading before noise, saturation at full scale and rounding; only while simulating."""
     measured_turns: Mapping[str, Rotation] = field(default_factory=dict)
     """By how much what a sensor at fault measures is turned: `sun_B`, `nadir_B`; only while simulating."""
-    _of_ambient_nT: dict[Hashable, FloatArray] = field(default_factory=dict, init=False, repr=False)
+    _of_ambient: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False)
     """What was made of attitude and ambient field, the latest few: every signal that has the same shares it."""
     _of_reading: MutableMapping[int, FloatArray] = field(default_factory=dict, init=False, repr=False)
     """Products of the reading's components, by their degree."""
@@ -310,14 +311,15 @@ class Signal:
         alone = self._none_or(self.here_alone_B_nT) + extra_B_nT if here_alone else self.here_alone_B_nT
         return self._changed(stray_B_nT=stray, here_alone_B_nT=alone)
 
-    def of_ambient(self, key: Hashable, make: Callable[[], FloatArray]) -> FloatArray:
-        """What `make` makes of attitude and ambient field alone, (N, 3): once for all signals that have the same."""
-        known = self._of_ambient_nT
+    def of_ambient(self, key: Hashable, make: Callable[[], Made]) -> Made:
+        """What `make` makes of attitude and ambient field alone: once for all signals that have the same."""
+        known = self._of_ambient
         if key not in known:
             while known and len(known) * self.rows > _OF_AMBIENT_ROWS:
                 del known[next(iter(known))]
             known[key] = make()
-        return known[key]
+        made: Made = known[key]
+        return made
 
     @property
     def spacecraft_B_nT(self) -> FloatArray:

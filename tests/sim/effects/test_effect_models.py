@@ -22,7 +22,7 @@ from fluxtwin.sim.effects.catalogue import find_effect
 from fluxtwin.sim.effects.chain import Chain
 from fluxtwin.sim.effects.digits import BitErrors, CoarseQuantization
 from fluxtwin.sim.effects.drivers import STANDARD_SWING_K, orbital_period_s, temperature_K
-from fluxtwin.sim.effects.history import play
+from fluxtwin.sim.effects.history import FieldHistory, play
 from fluxtwin.sim.effects.response import CubicNonlinearity, Hysteresis, QuadraticNonlinearity, SensorLag
 from fluxtwin.sim.effects.signal import Setting, Signal
 from fluxtwin.sim.effects.spacecraft_field import EddyCurrent, SolarArrayCurrent, TorquerCoupling, WheelField
@@ -260,6 +260,18 @@ def test_hysteresis_follows_the_field_between_stamps(step_s: float, close: Calla
         because="5e-4 of 28,000 nT over 8000 nT, of 80 nT, and the Earth's turning",
     )
     assert np.ptp(expected) > 150.0
+
+
+def test_what_the_body_has_seen_is_followed_once_whatever_the_spacecraft_adds(monkeypatch: pytest.MonkeyPatch) -> None:
+    chain, followed = spinning(np.arange(0.0, 600.0, 12.0), 2.0 * np.pi / 32.0), []
+    plain = FieldHistory.closely
+    monkeypatch.setattr(FieldHistory, "closely", lambda self, parts: followed.append(self) or plain(self, parts))
+    signal = chain.signal()
+    for stray_nT in (10.0, 20.0, 30.0):
+        field = np.full((signal.rows, 3), stray_nT)
+        Hysteresis().apply(signal.with_stray(field), np.ones(3))
+    SensorLag().apply(signal, np.array([2.0]))
+    assert len(followed) == 1
 
 
 @pytest.mark.parametrize(

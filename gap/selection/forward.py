@@ -55,6 +55,9 @@ class Search(Generic[OfChannel]):
     first: Board
     """All candidates beside what is modelled alone."""
     white: FloatArray
+    """(M, 3, P) their whitened live columns."""
+    gram: FloatArray
+    """(P, P) inner products of these."""
     same: dict[str, tuple[str, ...]]
     """Names that imitate each other on this design, from `Board.same`: one cause under two names."""
     tested_before: int
@@ -125,18 +128,24 @@ class Search(Generic[OfChannel]):
         base: a chosen effect changes them little, and whatever is picked is fitted in the nonlinear chain.
         """
         taken = {effect.name for effect, _ in fit.chosen}
-        others = [candidate for candidate in self.found if candidate.name not in taken]
-        kept = np.array([self.found[int(owner)].name not in taken for owner in self.first.owner], dtype=bool)
+        others = [number for number, candidate in enumerate(self.found) if candidate.name not in taken]
+        return self.scored(fit.residual, fit.basis).of(others)
+
+    def scored(self, residual: FloatArray, nuisance: FloatArray) -> Board:
+        """All candidates against a whitened residual (M, 3), beside a nuisance as `board` has it."""
         measured, share_left = self.channel.measured, self.channel.share_left
-        return board(others, self.white[:, :, kept], fit.residual, fit.basis, measured, share_left)
+        return board(self.found, self.white, residual, nuisance, measured, share_left, self.gram)
 
     def add(self, effects: Sequence[SignalEffect], fit: Fit | None = None) -> None:
         """Further candidates, and the fit that has them if there is one."""
         more = [self.channel.candidate(effect, self.base.modelled) for effect in effects]
         own = whitened(more, self.channel, self.base.residual.shape[0])
         self.found = [*self.found, *more]
+        new = own.reshape(-1, own.shape[2])
+        mixed = self.white.reshape(len(new), -1).T @ new
+        self.gram = np.block([[self.gram, mixed], [mixed.T, new.T @ new]])
         self.white = np.concatenate([self.white, own], axis=2)
-        self.first = _first(self.channel, self.found, self.white, self.base)
+        self.first = self.scored(self.base.residual, self.base.basis)
         if fit is not None:
             self.fits[frozenset(self.found[number].label for number in self.numbers(fit))] = fit
 
@@ -156,12 +165,10 @@ def begin(
     jumps = [replace(effect, at=at) for effect in steps for at in channel.jumps(base)]
     found = [*found, *(channel.candidate(effect, base.modelled) for effect in jumps)]
     white = whitened(found, channel, base.residual.shape[0])
-    first = _first(channel, found, white, base)
-    return Search(channel, found, base, first, white, first.same, tested_before, earlier=earlier or {})
-
-
-def _first(channel: Channel, found: Sequence[Candidate], white: FloatArray, base: Fit) -> Board:
-    return board(found, white, base.residual, base.basis, channel.measured, channel.share_left)
+    flat = white.reshape(-1, white.shape[2])
+    gram = flat.T @ flat
+    first = board(found, white, base.residual, base.basis, channel.measured, channel.share_left, gram)
+    return Search(channel, found, base, first, white, gram, first.same, tested_before, earlier=earlier or {})
 
 
 def run(search: Search[Any]) -> list[tuple[Fit, Board]]:

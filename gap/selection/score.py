@@ -189,6 +189,14 @@ class Board:
         others = [self.candidates[k].name for k in np.flatnonzero((self.rank > 0) & (both >= ALIKE)).tolist()]
         return tuple(dict.fromkeys([effect.name, *others]))
 
+    def of(self, numbers: Sequence[int]) -> Board:
+        """The board of some of its candidates, by their numbers in ascending order."""
+        kept = np.isin(self.owner, numbers)
+        products = (self.gram[np.ix_(kept, kept)], self.pull[kept], self.lengths[kept])
+        places = (np.searchsorted(numbers, self.owner[kept]).astype(np.float64), self.place[kept])
+        some = tuple(self.candidates[number] for number in numbers)
+        return Board(some, *products, *places, self.chi2, self.fitted, self.measured, self.share_left)
+
     def scores(self) -> list[Score]:
         """Score and information of every candidate, in the units of its parameters."""
         pull = self.pull * self.lengths
@@ -254,21 +262,25 @@ def board(
     nuisance: FloatArray,
     measured: int,
     share_left: float = SHARE_LEFT,
+    gram: FloatArray | None = None,
 ) -> Board:
     """Set up the tests.
 
     white: whitened live columns (M, 3, P) of the candidates in turn (see `whitened`). residual: (M, 3) whitened.
     nuisance: (M, 3, c) whitened, or its orthonormal basis (3M, c); whatever is in it is projected out. measured: scalar
-    measurements not cut.
+    measurements not cut. gram: (P, P) inner products of `white`, if at hand.
     """
     basis = orthonormal(nuisance) if nuisance.ndim == 3 else nuisance
     owner = np.concatenate([np.full(int(c.live.sum()), n) for n, c in enumerate(candidates)] or [np.zeros(0, int)])
     place = np.concatenate([np.flatnonzero(c.live) for c in candidates] or [np.zeros(0, int)])
     flat = white.reshape(-1, white.shape[2])
-    lengths = np.linalg.norm(flat, axis=0)
+    gram = flat.T @ flat if gram is None else gram
+    lengths = np.sqrt(np.diag(gram))
     lengths = np.where(lengths > 0, lengths, 1.0)
-    columns, rest = projected_out(basis, flat / lengths), projected_out(basis, residual.reshape(-1))
-    products = (columns.T @ columns, columns.T @ rest, lengths, owner, place, float(rest @ rest))
+    # Rounding of these products is far below the share that a column must have left.
+    along, rest = (basis.T @ flat) / lengths, projected_out(basis, residual.reshape(-1))
+    beside = gram / np.outer(lengths, lengths) - along.T @ along
+    products = (beside, (flat.T @ rest) / lengths, lengths, owner, place, float(rest @ rest))
     return Board(tuple(candidates), *products, basis.shape[1], measured, share_left)
 
 

@@ -19,7 +19,7 @@ from fluxtwin.gap.selection.criterion import IN_GROUP, SHAPE, penalty, weight_of
 from fluxtwin.gap.selection.detectable import Smallest, smallest, visible_part
 from fluxtwin.gap.selection.forward import NONLINEAR, WITHIN, Search, room_for, without
 from fluxtwin.gap.selection.refit import Fit, Readings
-from fluxtwin.gap.selection.score import Board, board
+from fluxtwin.gap.selection.score import Board
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.effects.base import Effect, SignalEffect
 from fluxtwin.sim.effects.chain import Active
@@ -286,7 +286,7 @@ def _weights(search: Search[Any], fit: Fit, number: int, bare: Fit, variance: fl
     # The data with this effect's own signal put back: what the others would have to explain.
     put_back = search.channel.residual([*fit.modelled, *others])
     beside = fit.jacobian[:, :, kept]
-    scored = board(search.found, search.white, put_back, beside, search.channel.measured, search.channel.share_left)
+    scored = search.scored(put_back, beside)
     # A large effect is not linear: what the others make up for at their own refit says how much it is worth.
     drop_own = max(scored.chi2, bare.chi2) - fit.chi2
     lost_own = _chi_square_lost(search, fit.chosen[number], beside)

@@ -30,7 +30,15 @@ from fluxtwin.gap.selection import forward
 from fluxtwin.gap.selection.criterion import GATE, penalty, stands_out
 from fluxtwin.gap.selection.detectable import noncentrality, smallest, visible_part
 from fluxtwin.gap.selection.forward import Search, begin
-from fluxtwin.gap.selection.refit import Readings, likeliest_interval, refit, settled
+from fluxtwin.gap.selection.refit import (
+    _RCOND,
+    Readings,
+    _step,
+    covariance_of,
+    likeliest_interval,
+    refit,
+    settled,
+)
 from fluxtwin.gap.selection.score import board
 from fluxtwin.gap.selection.search import SearchResult
 from fluxtwin.sim.base.types import FloatArray
@@ -110,6 +118,12 @@ class Design:
     problem: Problem
     whitener: Whitener
     begun: Search[Readings]
+
+    def begun_with(self, effect: SignalEffect) -> Search[Readings]:
+        """One that has a further candidate."""
+        under_way = dataclasses.replace(self.begun)
+        under_way.add([effect])
+        return under_way
 
     def data(self, active: list[Active], seed: int, *, wrong: float = 1.0) -> Problem:
         """The problem with readings that hold these effects, a wrong calibration and noise."""
@@ -241,6 +255,39 @@ def test_what_a_candidate_explains_beside_others_is_the_drop_of_least_squares(cl
     wanted = [chi2(beside) - chi2(np.concatenate([beside, white[:, :, part]], axis=2)) for part in ([0], [3, 4])]
     close(drop[[0, 2]], wanted, atol=1e-8, unit="1", because="rounding")
     assert rank.tolist() == [1, 0, 2]
+
+
+def test_scores_beside_a_refit_are_those_of_the_other_candidates_alone(close: Any) -> None:
+    """Also where a candidate was added on the way, and with the images projected one by one."""
+    here, bias = design("tumble"), find_effect("bias_step")
+    under_way = here.begun_with(BiasStep(at=epoch.iso(here.problem.time[37], "ms")))
+    fit = refit(under_way.channel, [(bias, np.full(3, 20.0))], modelled=under_way.base.modelled)
+    beside = under_way.beside(fit)
+    kept = np.array([under_way.found[int(owner)].name != bias.name for owner in under_way.first.owner])
+    columns = under_way.white[:, :, kept].reshape(fit.basis.shape[0], -1)
+    left = projected_out(fit.basis, columns / np.linalg.norm(columns, axis=0))
+    rest = projected_out(fit.basis, fit.residual.reshape(-1))
+    assert [one.name for one in beside.candidates] == [c.name for c in under_way.found if c.name != bias.name]
+    close(beside.gram, left.T @ left, atol=1e-12, unit="1", because="rounding, of columns of unit length")
+    close(beside.pull, left.T @ rest, atol=1e-10, unit="1", because="rounding, of a residual of some hundred")
+    lives = np.concatenate([np.flatnonzero(c.live) for c in beside.candidates])
+    assert beside.place.tolist() == lives.tolist()
+    owner = np.repeat(np.arange(len(beside.candidates)), [int(c.live.sum()) for c in beside.candidates])
+    assert beside.owner.tolist() == owner.tolist()
+
+
+def test_a_step_is_that_of_least_squares_and_moves_nothing_unseen(close: Any) -> None:
+    rng = np.random.default_rng(5)
+    columns = rng.standard_normal((40, 3, 4)) * [1.0, 1e3, 1e-3, 1.0]
+    columns[:, :, 3] = columns[:, :, 0] + 1e-3 * columns[:, :, 1] + 1e-7 * rng.standard_normal((40, 3))
+    y, free = rng.standard_normal((40, 3)), np.ones(4, dtype=bool)
+    flat, size = columns.reshape(120, 4), np.linalg.norm(columns.reshape(120, 4), axis=0)
+    wanted = np.linalg.lstsq(flat / size, y.ravel(), rcond=_RCOND)[0]
+    close(_step(columns, y, free) * size, wanted, atol=1e-9, unit="1", because="rounding, squared by the Gram matrix")
+    _, s, v = np.linalg.svd(flat / size, full_matrices=False)
+    covariance, seen, rank = covariance_of(columns, free)
+    close(covariance * np.outer(size, size), v[:3].T / s[:3] ** 2 @ v[:3], atol=1e-9, unit="1", because="the same")
+    assert (rank, seen.tolist()) == (3, [False, False, True, False])
 
 
 def test_a_perfect_simulation_gets_no_name_score() -> None:

@@ -289,13 +289,21 @@ class Structured:
             setting = self.problem.setting
             longer = wheel_line(setting, left, line_near(setting.seconds, left, fast.line.frequency_Hz))
             shape = longer if longer is not None and longer.confirmed else wheel
-            return self.given([*answer.shapes, shape], answer)
+            return self.given([*self._other_lines(answer.shapes, fast.line.frequency_Hz), shape], answer)
         if answer.left.structured and answer.left.kind != "tone":
             return answer  # but a slower line may be this one, seen in some rows only
         words = f"a line at a period of {1 / fast.line.frequency_Hz:.3g} s, in the full rate"
         tried = float(np.log(independent_frequencies(fast.problem.setting.seconds)))
         found = Structure(fast.line.worth, fast.line.explained, "tone", words, rank=6, log_tried=tried)
         return replace(answer, left=found, known=answer.known * self._known(answer, found))
+
+    def _other_lines(self, shapes: Sequence[Finding], frequency_Hz: float) -> list[Finding]:
+        """The shapes but that which is a line of this frequency as the evenly spaced rows fold it."""
+        seconds = self.problem.setting.seconds
+        fastest, least = 1.0 / float(np.median(np.diff(seconds))), 1.0 / float(seconds[-1] - seconds[0])
+        folded = abs(frequency_Hz - fastest * round(frequency_Hz / fastest))
+        lines = [getattr(one.effect, "frequency_Hz", None) for one in shapes]
+        return [one for one, at in zip(shapes, lines, strict=True) if at is None or abs(at - folded) > least]
 
     def _known(self, answer: Answer, line: Structure) -> float:
         """Probability that a line is of the shape error of what is named."""

@@ -31,7 +31,7 @@ from fluxtwin.sim.earth.field_models import load_field
 from fluxtwin.sim.earth.frames import from_geocentric
 from fluxtwin.sim.effects.digits import ExcessNoise
 from fluxtwin.sim.effects.spacecraft_field import WheelField
-from fluxtwin.sim.effects.switched_field import SwitchedField
+from fluxtwin.sim.effects.switched_field import HeaterSwitching, SwitchedField
 from fluxtwin.sim.run.simulate import simulate
 from fluxtwin.sim.scenario.scenario import parse_scenario
 
@@ -434,6 +434,18 @@ def test_a_multiple_of_a_wheel_is_no_second_wheel(bench: Bench) -> None:
         line = np.outer(np.cos(phase), [60.0, 0.0, 30.0]) + np.outer(np.sin(phase), [0.0, 50.0, -20.0])
         left = projected(bench.whitener, noise + line, bench.calibration)
         assert companion(setting, left, strongest_line(t, left), named) is expected
+
+
+def test_a_line_found_at_the_full_rate_replaces_the_one_that_thinned_rows_fold_it_into() -> None:
+    """Of 0.2186 Hz rows 9 s apart show |0.2186 - 2/9| = 0.00362 Hz; the sequence and the other wheel stay."""
+    setting: Any = SimpleNamespace(seconds=np.arange(0.0, 9000.0, 9.0))
+    shapes: list[Any] = [
+        SimpleNamespace(effect=one)
+        for one in (WheelField(frequency_Hz=0.00362), WheelField(frequency_Hz=0.0093), HeaterSwitching())
+    ]
+    unknown: Any = None
+    some = Structured(SimpleNamespace(setting=setting), unknown, unknown)._other_lines(shapes, 0.2186)  # type: ignore[arg-type]
+    assert some == shapes[1:]
 
 
 def test_the_noise_beside_a_walk_is_sought_at_its_rate_over_the_white_noise(monkeypatch: pytest.MonkeyPatch) -> None:

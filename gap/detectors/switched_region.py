@@ -74,7 +74,7 @@ def switched_region(problem: Problem, left: ProjectedResidual, rivals: Sequence[
             faults.append("it is present by day as well")
     elif search.seen_from_above(problem.setting, effect.condition, region, value):
         faults.append("a local error of the Earth's field, which has no edges sharper than the altitude, does as well")
-    what = f"a field by {effect.condition}, {effect.region_words}"
+    what = f"a field {effect.region_words}"
     return Finding(effect, one.size, one.sigma, value, what, tuple(faults))
 
 

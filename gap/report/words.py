@@ -184,7 +184,7 @@ def _cause(effect: FoundEffect) -> str:
     over = ""
     if "region_deg" in effect.settings:
         where = SwitchedField(str(effect.settings["condition"]), region_deg=tuple(effect.settings["region_deg"]))
-        over = f" by {where.condition} over {where.region_words}"
+        over = f" {where.region_words}"
     over += f" at {str(effect.settings['at'])[:19]}Z" if effect.settings.get("at") else ""
     over += f" {effect.settings['delay_s']:.3g} s late" if effect.settings.get("delay_s") else ""
     over += f" behind a lag of {effect.settings['lag_s']:.3g} s" if effect.settings.get("lag_s") else ""

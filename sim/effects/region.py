@@ -39,12 +39,12 @@ def depth_deg(latitude_deg: FloatArray, longitude_deg: FloatArray, region_deg: S
 
 
 def region_words(region_deg: Sequence[float]) -> str:
-    """A region, to read."""
+    """Where a region is, to read."""
     if len(region_deg) == 3:
         latitude, longitude, radius = region_deg
-        return f"{radius:g} deg about {_latitude(latitude)}, {_longitude(longitude)}"
+        return f"within {radius:g} deg of {_latitude(latitude)}, {_longitude(longitude)}"
     south, north, west, east = region_deg
-    return f"{_latitude(south)} to {_latitude(north)}, {_longitude(west)} to {_longitude(east)}"
+    return f"over {_latitude(south)} to {_latitude(north)}, {_longitude(west)} to {_longitude(east)}"
 
 
 def _latitude(deg: float) -> str:

@@ -152,8 +152,10 @@ class SwitchedField(SpacecraftField):
 
     @property
     def region_words(self) -> str:
-        """The region, to read; empty where there is none."""
-        return "" if self.region_deg is None else region_words(self.region_deg)
+        """When and where it is on, to read; empty where there is no region."""
+        if self.region_deg is None:
+            return ""
+        return {"night": "by night ", "eclipse": "in eclipse "}.get(self.condition, "") + region_words(self.region_deg)
 
     @property
     def bound(self) -> str | None:

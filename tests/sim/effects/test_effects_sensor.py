@@ -279,10 +279,10 @@ def test_conditions_of_a_switched_field(full: Chain) -> None:
     np.testing.assert_array_equal(east + west, 1.0)
     dark_east = SwitchedField("night", region_deg=(-90.0, 90.0, 0.0, 180.0))
     np.testing.assert_array_equal(dark_east.values(setting), on["night"] * east)
-    assert dark_east.region_words == "90 S to 90 N, 0 E to 180 W"
+    assert dark_east.region_words == "by night over 90 S to 90 N, 0 E to 180 W"
     cap = SwitchedField("region", region_deg=(90.0, 0.0, 30.0))  # what a circle about a pole holds is a latitude
     np.testing.assert_array_equal(cap.values(setting), polar)
-    assert cap.region_words == "30 deg about 90 N, 0 E"
+    assert cap.region_words == "within 30 deg of 90 N, 0 E"
     with pytest.raises(BadInput, match="a region of 2 numbers"):
         SwitchedField("region", region_deg=(1.0, 2.0)).values(setting)
 

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.patches import Rectangle
 
 from fluxtwin.plots import style
 from fluxtwin.sim.base.types import BoolArray, FloatArray
+from fluxtwin.sim.effects.region import depth_deg
 
 
 def draw_ranges(
@@ -201,22 +201,24 @@ def draw_night_map(
     latitude_deg: FloatArray,
     longitude_deg: FloatArray,
     residual_nT: FloatArray,
-    put_in_deg: tuple[float, float, float, float],
-    found_deg: tuple[float, float, float, float] | None,
+    put_in_deg: tuple[float, ...],
+    found_deg: tuple[float, ...] | None,
     *,
     title: str,
 ) -> Figure:
-    """Rows by night on the map, coloured by residual; the box that was put in and the one found."""
+    """Rows by night on the map, coloured by residual; the region that was put in and the one found, as
+    `SwitchedField.region_deg` has them."""
     figure, ((axes,),) = style.figure(7.2, 3.6)
     limit = float(np.nanpercentile(np.abs(residual_nT), 99))
     look: dict[str, Any] = {"cmap": style.SIGNED_MAP, "vmin": -limit, "vmax": limit}
     rim: dict[str, Any] = {"edgecolors": style.GREY, "linewidths": 0.2}
     shown = axes.scatter(longitude_deg, latitude_deg, c=residual_nT, s=7, **look, **rim)
-    for box, colour, line, label in ((found_deg, style.SKY, "-", "found"), (put_in_deg, style.BLACK, ":", "put in")):
-        if box is not None:
-            south, north, west, east = box
-            edge: dict[str, Any] = {"edgecolor": colour, "linestyle": line, "linewidth": 4.0 if line == "-" else 1.8}
-            axes.add_patch(Rectangle((west, south), east - west, north - south, fill=False, label=label, **edge))
+    longitude, latitude = np.meshgrid(np.linspace(-180.0, 180.0, 721), np.linspace(-90.0, 90.0, 361))
+    for region, colour, line, label in ((found_deg, style.SKY, "-", "found"), (put_in_deg, style.BLACK, ":", "put in")):
+        if region is not None:
+            width, depth = 4.0 if line == "-" else 1.8, np.minimum(depth_deg(latitude, longitude, region), 180.0)
+            axes.contour(longitude, latitude, depth, [0.0], colors=colour, linestyles=line, linewidths=width)
+            axes.plot([], [], color=colour, linestyle=line, linewidth=width, label=label)
     style.coast(axes)
     figure.colorbar(shown, ax=axes, label="|B| minus model [nT]")
     style.label(axes, x="longitude [deg]", y="latitude [deg]", title=title)

@@ -42,6 +42,7 @@ from fluxtwin.calib.common.observability import field_variation, pair_words, req
 from fluxtwin.calib.common.options import RecursiveOptions
 from fluxtwin.calib.common.records import Calibration, parameter_names
 from fluxtwin.calib.common.residuals import residual_statistics
+from fluxtwin.calib.common.robust import MAD_TO_SIGMA
 from fluxtwin.calib.common.words import say
 from fluxtwin.calib.linear.calibrate import calibrate_linear
 from fluxtwin.sim.base.errors import NoAnswer, amount
@@ -127,7 +128,7 @@ def _without_outliers(
     off = np.full_like(rows.reading_nT, np.nan)
     B = rows.reading_nT[sure]
     off[sure] = R[sure].apply(rows.field_N_nT[sure]) - (B + B @ known.S.T + known.b_nT)
-    size = 1.4826 * np.nanmedian(np.abs(off), axis=0)
+    size = MAD_TO_SIGMA * np.nanmedian(np.abs(off), axis=0)
     far = (np.abs(off) > _FAR * size).any(axis=1)
     reading = rows.reading_nT.copy()
     reading[far] = np.nan

@@ -30,6 +30,7 @@ from fluxtwin.calib.attitude.yaw import velocity_of
 from fluxtwin.calib.common.design import joined
 from fluxtwin.calib.common.digits import plain
 from fluxtwin.calib.common.records import Calibration
+from fluxtwin.calib.common.robust import MAD_TO_SIGMA
 from fluxtwin.calib.common.words import say
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.progress import Progress, silent
@@ -256,7 +257,7 @@ def _explained_nT(rows: FilterRows, calibration: Calibration) -> float:
     off = np.linalg.norm(field, axis=1) - np.linalg.norm(rows.field_N_nT, axis=1)
     bend = np.abs(off[2:] - 2.0 * off[1:-1] + off[:-2])
     bend = bend[np.isfinite(bend)]
-    white_nT = 1.4826 * float(np.median(bend)) / np.sqrt(6.0) if bend.size else 0.0
+    white_nT = MAD_TO_SIGMA * float(np.median(bend)) / np.sqrt(6.0) if bend.size else 0.0
     z = np.column_stack([B, np.ones(len(B))])[np.isfinite(B).all(axis=1)]
     moments = z.T @ z / max(len(z), 1)
     blocks = [[3 * i, 3 * i + 1, 3 * i + 2, 9 + i] for i in range(3)]

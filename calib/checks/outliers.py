@@ -16,6 +16,7 @@ from fluxtwin.calib.checks.sample import Sample
 from fluxtwin.calib.checks.stuck import fill_words, least_step
 from fluxtwin.calib.checks.values import GAP_STEPS
 from fluxtwin.calib.common.digits import plain
+from fluxtwin.calib.common.robust import MAD_TO_SIGMA
 from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
 from fluxtwin.sim.earth import epoch, frames
 from fluxtwin.sim.earth.field import FieldModel, field_N_nT
@@ -41,7 +42,7 @@ def without_gross_outliers(sample: Sample) -> Sample:
         return sample
     alone = np.zeros((len(sample), 0))
     left = np.abs(_ellipsoid(sample.mag_nT, np.linalg.norm(sample.field_N_nT, axis=1), alone))
-    scale = 1.4826 * float(np.median(left))
+    scale = MAD_TO_SIGMA * float(np.median(left))
     keep = left <= max(2.0 * STANDS_OUT * scale, 100.0)
     return sample if keep.all() or keep.mean() < 1.0 - 2.0 * FEW else sample.take(np.flatnonzero(keep))
 

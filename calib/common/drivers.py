@@ -24,6 +24,7 @@ from fluxtwin.calib.common.criterion import THRESHOLD, worth
 from fluxtwin.calib.common.digits import plain
 from fluxtwin.calib.common.fit import Fit
 from fluxtwin.calib.common.records import seconds_of
+from fluxtwin.calib.common.robust import MAD_TO_SIGMA
 from fluxtwin.sim.base.errors import BadInput, NoAnswer, names_in, nearest
 from fluxtwin.sim.base.late import late, lateness_near, lateness_tried
 from fluxtwin.sim.base.progress import Progress
@@ -303,7 +304,7 @@ def drawn_in(
     (Huber 1964). It is asked for beside what is tried: beside the fit, the rows that a strong field reaches late are the
     ones that are far off, and taken off they would speak for the fit.
     """
-    limit = np.maximum(_FAR * 1.4826 * np.median(np.abs(error[kept]), axis=0), _NO_NOISE_NT)[:, None]
+    limit = np.maximum(_FAR * MAD_TO_SIGMA * np.median(np.abs(error[kept]), axis=0), _NO_NOISE_NT)[:, None]
     error = error + sum(field * (of_fit[one] - now[one])[:, None] for one, field in fields.items())
     own, field = now[name][:, None], fields[name][..., None]
     left = error[..., None] + field * own[:, None]

@@ -16,6 +16,7 @@ from scipy.ndimage import uniform_filter1d
 from scipy.special import gammaln
 
 from fluxtwin.calib.common.criterion import FALSE_ALARM
+from fluxtwin.calib.common.robust import MAD_TO_SIGMA
 from fluxtwin.gap.detectors.finding import Finding, Fitted, does_as_well, fitted, stands_out
 from fluxtwin.gap.detectors.lines import Line, line_columns
 from fluxtwin.gap.hypotheses.blocks import BlockFit, in_body
@@ -199,7 +200,7 @@ def _viterbi(z: FloatArray, start: BoolArray | None, share: float = 0.5) -> Bool
     on = z > np.quantile(z, share) if start is None else start
     count = 1 if start is None else max(_switches(start).size, 1)
     penalty = float(np.log(max((z.size - count) / count, 1.0)))
-    scale = 1.4826 * np.median(np.abs(np.diff(z))) / np.sqrt(2)
+    scale = MAD_TO_SIGMA * np.median(np.abs(np.diff(z))) / np.sqrt(2)
     for _ in range(_ROUNDS):
         if not on.any() or on.all():
             break

@@ -7,7 +7,7 @@ noise that suits it best: a slow attitude error may be what another takes for a 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any
@@ -37,13 +37,15 @@ from fluxtwin.gap.selection.refit import Fit, Readings
 from fluxtwin.gap.selection.score import Board
 from fluxtwin.gap.selection.search import SearchResult, by_gain, result_of
 from fluxtwin.sim.base.types import FloatArray
-from fluxtwin.sim.effects.base import SignalEffect
+from fluxtwin.sim.effects.base import Effect, SignalEffect
 from fluxtwin.sim.effects.chain import Active
 
 Known = tuple[list[Candidate], dict[str, str]]
 """What `candidates` gives for a problem."""
 _Searched = tuple[Search[Readings], dict[str, str], list[tuple[Fit, Board]]]
 """A search, names that cannot be tested with the reason, and the path that it took."""
+OneCause = Callable[[Effect, Effect], bool]
+"""Whether two effects, as they are set, are one cause."""
 ROUNDS = 2
 """Of a search, each beside what the one before found, if the names do not stay before."""
 
@@ -135,7 +137,7 @@ def _weighed(robust: RobustRows, searched: _Searched, dictionary: Dictionary, ot
     lefts = structures_left(under_way, [fit for fit, _ in path], dictionary)
     gained = _gained(under_way, [fit for fit, _ in path], others, robust)
     explanations = weighed(under_way, path, lefts, gained)
-    best, share, total = likeliest(explanations, under_way.same)
+    best, share, total = likeliest(explanations, under_way.one_cause)
     return Weighed(searched, explanations[best], share, total, gained[0])
 
 
@@ -149,11 +151,14 @@ def concluded(problem: Problem, robust: RobustRows, found: Weighed, shapes: tupl
     return Answer(whitener.noise, robust, whitener, result, alone, fitted, *rest)
 
 
-def likeliest(explanations: Sequence[Explanation], same: Mapping[str, Sequence[str]]) -> tuple[int, float, float]:
-    """The explanation that weighs most, the probability that nothing unknown is there, and the most worth."""
+def likeliest(explanations: Sequence[Explanation], one_cause: OneCause) -> tuple[int, float, float]:
+    """The explanation that weighs most, the probability that nothing unknown is there, and the most worth.
+
+    one_cause: whether two effects are one, as `Search.one_cause` has it.
+    """
     logs = np.array([[one.worth, one.unknown] for one in explanations])
     for place, (one, more) in enumerate(pairwise(explanations)):
-        if _added(same, one.fit, more.fit) == 1 and not np.isfinite(more.unknown):
+        if _added(one_cause, one.fit, more.fit) == 1 and not np.isfinite(more.unknown):
             logs[place, 1] = -np.inf  # the catalogue has it
     if not np.max(logs) > THRESHOLD:
         return 0, 1.0, float(np.max(logs))
@@ -164,10 +169,10 @@ def likeliest(explanations: Sequence[Explanation], same: Mapping[str, Sequence[s
     return int(np.argmax(named[:, column])), known, float(np.max(logs))
 
 
-def _added(same: Mapping[str, Sequence[str]], one: Fit, more: Fit) -> int:
-    """How many causes a fit has that another has not, in whatever settings. same: names that imitate each other."""
-    known = {name for effect, _ in one.chosen for name in (effect.name, *same.get(effect.name, ()))}
-    return len({effect.name for effect, _ in more.chosen} - known)
+def _added(one_cause: OneCause, one: Fit, more: Fit) -> int:
+    """How many causes a fit has that another has not, in whatever settings."""
+    known = [effect for effect, _ in one.chosen]
+    return len({effect.name for effect, _ in more.chosen if not any(one_cause(effect, other) for other in known)})
 
 
 def weighed(
@@ -180,19 +185,21 @@ def weighed(
     for place in reversed(range(len(path) - 1)):
         # What one more name explains is better known by its refit than by the finding that led to it.
         further = explained[place + 1] - explained[place] + beyond[place + 1]
-        one_more = _added(under_way.same, path[place][0], path[place + 1][0]) == 1
+        one_more = _added(under_way.one_cause, path[place][0], path[place + 1][0]) == 1
         beyond[place] = further if one_more else max(beyond[place], further)
     found: list[Explanation] = []
     names = 0.0
     for place, ((fit, beside), left) in enumerate(zip(path, lefts, strict=True)):
         if place:
             before = path[place - 1][0]
-            names = _worth_of_names(under_way, fit, names if _added(under_way.same, before, fit) == 1 else None, before)
+            names = _worth_of_names(
+                under_way, fit, names if _added(under_way.one_cause, before, fit) == 1 else None, before
+            )
         wider = 1.0 + SHAPE * explained[place]
         # What one more name takes away whole is in its direction alone.
         whole = (
             place + 1 < len(path)
-            and _added(under_way.same, fit, path[place + 1][0]) == 1
+            and _added(under_way.one_cause, fit, path[place + 1][0]) == 1
             and not lefts[place + 1].structured
         )
         seen = max(beyond[place], left.drop) if whole else beyond[place]

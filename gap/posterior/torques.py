@@ -137,7 +137,7 @@ def _searched(
     explanations = weighed(
         search, path, lefts, [gained(channel, fitted.chosen, problem.budget) if found else 0.0 for fitted, _ in path]
     )
-    best, known, _ = likeliest(explanations, search.same)
+    best, known, _ = likeliest(explanations, search.one_cause)
     chosen = explanations[best]
     seen, hidden = smallest(search.first, search.tested)
     gap, log_ratio = _how_far(channel, chosen.fit)

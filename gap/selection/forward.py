@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import combinations
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -66,10 +67,20 @@ class Search(Generic[OfChannel]):
     earlier: Parameters = field(default_factory=dict)
     """Parameters of sets that were fitted in another noise: near those in this one."""
 
+    def one_cause(self, one: Effect, other: Effect) -> bool:
+        """Whether two effects, as they are set here, are one cause: of one name, or each what the other's name imitates.
+
+        A field in eclipse and the array's are two names of one; a field by a flag is another cause beside either.
+        """
+        if one.name == other.name:
+            return True
+        if other.name not in self.same.get(one.name, ()):
+            return False
+        return other.name in self.first.alike_to(one) and one.name in self.first.alike_to(other)
+
     def same_cause(self, numbers: Sequence[int]) -> bool:
         """Whether two of these candidates are one cause under two names."""
-        names = [self.found[number].name for number in numbers]
-        return any(b in self.same.get(a, ()) for k, a in enumerate(names) for b in names[k + 1 :])
+        return any(self.one_cause(self.found[a].effect, self.found[b].effect) for a, b in combinations(numbers, 2))
 
     @property
     def tested(self) -> int:

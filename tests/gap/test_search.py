@@ -51,6 +51,7 @@ from fluxtwin.sim.effects.catalogue import find_effect
 from fluxtwin.sim.effects.chain import Active, jacobian
 from fluxtwin.sim.effects.clock_and_orbit import TimeTagOffset
 from fluxtwin.sim.effects.response import Hysteresis, Saturation, SensorLag
+from fluxtwin.sim.effects.spacecraft_field import SolarArrayCurrent
 from fluxtwin.sim.effects.switched_field import SwitchedField
 from fluxtwin.sim.run.simulate import simulate
 from fluxtwin.sim.scenario.scenario import parse_scenario
@@ -335,6 +336,19 @@ def test_groups_come_from_the_design() -> None:
     assert turning < steady
     better = tumble.smallest["time_tag_offset"].value
     assert better < 0.5 * nadir.smallest["time_tag_offset"].value
+
+
+def test_a_field_by_a_flag_is_another_cause_than_an_array_that_a_field_in_sunlight_imitates() -> None:
+    here = design("tumble")
+    record = here.problem.telemetry
+    flag = (np.arange(len(record)) // 17 % 2).astype(float)
+    bare = record.replace(array_current_A=None, battery_current_A=None, flags={"payload": flag})
+    begun = begun_on(pose(bare, load_field("igrf14")), here.whitener)
+    wanted = (SolarArrayCurrent(panel="constant"), SwitchedField("eclipse"), SwitchedField("flag:payload"))
+    numbers = [[one.effect for one in begun.found].index(effect) for effect in wanted]
+    assert begun.same_cause(numbers[:2])
+    assert not begun.same_cause([numbers[0], numbers[2]])
+    assert begun.same_cause(numbers[1:]), "of one name"
 
 
 def test_the_smallest_size_is_that_of_an_effects_first_form() -> None:

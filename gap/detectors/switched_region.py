@@ -2,9 +2,9 @@
 
 Boxes of latitude and longitude are tried over all places that the record passes, and the best is refined edge by edge, and
 as a circle. Any patch of wrong field looks a little like that, so the name is given only if a field of the Earth's own is
-excluded, and if no block of columns does as well. The Earth's own is there by day too, and seen from above it has no
-sharper edges than the altitude: of two half planes, one magnetised, the field at height h goes over as the arctangent of
-the distance in units of h (Blakely 1995, chapter 9).
+excluded, if no block of columns does as well, and if the record passes the region more than once. The Earth's own is there
+by day too, and seen from above it has no sharper edges than the altitude: of two half planes, one magnetised, the field at
+height h goes over as the arctangent of the distance in units of h (Blakely 1995, chapter 9).
 """
 
 from __future__ import annotations
@@ -68,7 +68,10 @@ def switched_region(problem: Problem, left: ProjectedResidual, rivals: Sequence[
     if value <= THRESHOLD:
         return None
     faults = does_as_well(value, one, rivals)
-    day = (place.depth(region) >= 0.0) & ~place.on(effect.condition, region)
+    on = place.on(effect.condition, region)
+    if np.count_nonzero(on[1:] & ~on[:-1]) + on[0] < 2:
+        faults.append("the record passes the region once, so an interval of time would look the same")
+    day = (place.depth(region) >= 0.0) & ~on
     if day.sum() >= _FEWEST_ROWS:
         if stands_out(left, images, in_body(day.astype(float))):
             faults.append("it is present by day as well")

@@ -25,6 +25,7 @@ from fluxtwin.sim.effects.base import Effect, SignalEffect
 from fluxtwin.sim.effects.calibration import Step
 from fluxtwin.sim.effects.chain import Active
 from fluxtwin.sim.effects.signal import Setting
+from fluxtwin.sim.effects.switched_field import FLAG
 
 LARGEST = 3
 """Causes, waveforms, or names that an unknown one resembles, at the most."""
@@ -68,15 +69,19 @@ class Search(Generic[OfChannel]):
     """Parameters of sets that were fitted in another noise: near those in this one."""
 
     def one_cause(self, one: Effect, other: Effect) -> bool:
-        """Whether two effects, as they are set here, are one cause: of one name, or each what the other's name imitates.
+        """Whether two effects, as they are set here, are one cause: of one name, or of names that imitate each other.
 
-        A field in eclipse and the array's are two names of one; a field by a flag is another cause beside either.
+        A field in eclipse and that of an array whose current was not recorded are; beside either a field by a flag is not.
         """
         if one.name == other.name:
             return True
-        if other.name not in self.same.get(one.name, ()):
-            return False
-        return other.name in self.first.alike_to(one) and one.name in self.first.alike_to(other)
+        return other.name in self.same.get(one.name, ()) and self._flag(one) == self._flag(other)
+
+    def _flag(self, effect: Effect) -> str | None:
+        """The recorded flag that an effect follows, if it does."""
+        setting = self.channel.setting
+        condition = None if setting is None else effect.condition_on(setting)
+        return condition if condition is not None and condition.startswith(FLAG) else None
 
     def same_cause(self, numbers: Sequence[int]) -> bool:
         """Whether two of these candidates are one cause under two names."""

@@ -419,6 +419,15 @@ def test_a_field_over_a_region_has_sharper_edges_than_one_of_the_earth(bench: Be
         assert found.faults[0].startswith("a local error of the Earth's field")
 
 
+def test_a_field_in_a_single_pass_over_a_region_may_as_well_be_one_of_an_interval(bench: Bench) -> None:
+    on = np.arange(bench.problem.rows) // 24 == 20
+    signal = np.outer(on, [400.0, -300.0, 340.0])
+    signal += SIGMA_NT * np.random.default_rng(8).standard_normal(signal.shape)
+    found = switched_region(bench.problem, projected(bench.whitener, signal, bench.calibration), ())
+    assert found is not None and not found.confirmed
+    assert "the record passes the region once, so an interval of time would look the same" in found.faults
+
+
 def _angle(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     """(N,) angle between vectors, by the arctangent."""
     return np.arctan2(np.linalg.norm(np.cross(one, other), axis=1), np.sum(one * other, axis=1))

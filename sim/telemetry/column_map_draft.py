@@ -28,6 +28,8 @@ _QUATERNIONS = (
     ("wxyz", ("w", "x", "y", "z"), False),
     ("wxyz", ("s", "1", "2", "3"), False),
     ("wxyz", ("s", "x", "y", "z"), False),
+    ("wxyz", ("s", "v1", "v2", "v3"), False),
+    ("wxyz", ("s", "vx", "vy", "vz"), False),
     ("xyzw", ("x", "y", "z", "s"), False),
     ("xyzw", ("1", "2", "3", "4"), True),
     ("wxyz", ("0", "1", "2", "3"), True),

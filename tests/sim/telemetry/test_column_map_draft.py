@@ -110,6 +110,18 @@ HEADERS = {
         **triple("SCVX SCVY SCVZ", V * 1e3),
         **triple("ATT_A ATT_B ATT_C ATT_D", Q[:, [3, 0, 1, 2]]),
     },
+    "a scalar and a vector part of the quaternion": {
+        "t": UNIX,
+        **triple("B_X B_Y B_Z", MAG),
+        **triple("R_ECI_X R_ECI_Y R_ECI_Z", R * 1e3),
+        **triple("QEST_S QEST_V1 QEST_V2 QEST_V3", Q[:, [3, 0, 1, 2]]),
+    },
+    "a vector part along axes, the scalar last": {
+        "t": UNIX,
+        **triple("B_X B_Y B_Z", MAG),
+        **triple("R_ECI_X R_ECI_Y R_ECI_Z", R * 1e3),
+        **triple("qVx qVy qVz qS", Q),
+    },
 }
 
 

@@ -28,6 +28,7 @@ from fluxtwin.sim.base.errors import BadInput, NoAnswer, amount
 from fluxtwin.sim.base.processes import stop_if_asked
 from fluxtwin.sim.base.progress import Progress
 from fluxtwin.sim.base.shown import Shown
+from fluxtwin.sim.base.types import BoolArray
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.telemetry.csv_files import without_comments
 from fluxtwin.sim.telemetry.record import Telemetry, concatenate
@@ -55,7 +56,7 @@ class Followed(Shown):
     changed: Changed | None
     """What rang the alarm; None where the stream ended first."""
     rows: int
-    """That were watched."""
+    """That were watched, with those passed over because they repeat the rounding of others."""
     last: np.datetime64
     """Time of the last of them, UTC."""
     calibration: str
@@ -112,15 +113,14 @@ def follow(
             )
             blocks = _taken(records, reading)
         rows = _Rows(_later(_until(blocks, end)))
-        first, every = rows.to_begin_with()
-        watch = begin(
-            first, as_model(declared.field or "igrf14", declared.degree), budget_of(None, (), declared), known
-        )
+        first, tested = rows.to_begin_with()
+        model, budget = as_model(declared.field or "igrf14", declared.degree), budget_of(None, (), declared)
+        watch = begin(first.select(tested), model, budget, known)
         said(f"watching: {watch.found.words}; {_manner(watch)}")
         hours = _Hours(watch, said)
-        changed = None if known is None else hours.take(first)
-        while changed is None and (block := rows.one_more(every)) is not None:
-            changed = hours.take(block)
+        changed = None if known is None else hours.take(first, tested)
+        while changed is None and (more := rows.one_more()) is not None:
+            changed = hours.take(*more)
     whole = rows.all()
     line = _line(changed, name, watch.rows, whole)
     with contextlib.suppress(BrokenPipeError):  # an alarm is one, and the diagnosis due, whether or not anyone reads it
@@ -150,32 +150,33 @@ class _Rows:
     """What has come, for the diagnosis, and what comes next."""
 
     def __init__(self, blocks: Iterator[Telemetry]) -> None:
-        self._blocks, self._seen, self._count = blocks, list[Telemetry](), 0
+        self._blocks, self._seen, self._count, self._every = blocks, list[Telemetry](), 0, 1
 
     def all(self) -> Telemetry:
         return concatenate(list(self._seen))
 
-    def to_begin_with(self) -> tuple[Telemetry, int]:
-        """The first rows, thinned until their rounding is new from row to row, and by how much."""
+    def to_begin_with(self) -> tuple[Telemetry, BoolArray]:
+        """The first rows, and (N,) which are tested: as few as it takes for the rounding to be new from one to the next."""
         while self._next() is not None:
             if enough(whole := self.all()):
-                return new_rounding(whole)
+                thinned, self._every = new_rounding(whole)
+                if enough(thinned):
+                    return whole, self._tested(0)
+        alike = f", of which one in {self._every} counts as the readings repeat" if self._every > 1 else ""
         raise NoAnswer(
-            f"the stream ended after {amount(self._count, 'row|rows')}: watching starts after {FIRST_ROWS} rows with "
+            f"the stream ended after {amount(self._count, 'row|rows')}{alike}: watching starts after {FIRST_ROWS} rows with "
             f"reading and position, over at least {FIRST_S / 60:.0f} minutes, from which "
             "the noise is estimated; diagnose without --follow needs fewer",
             evidence={"rows": self._count, "needed": FIRST_ROWS},
         )
 
-    def one_more(self, every: int) -> Telemetry | None:
-        """The next rows, each n-th of the whole stream; None where it has ended."""
-        while True:
-            before = self._count
-            block = self._next()
-            if block is None:
-                return None
-            if (taken := np.arange(before, self._count) % every == 0).any():
-                return block.select(taken)
+    def one_more(self) -> tuple[Telemetry, BoolArray] | None:
+        """The next rows and which are tested, each n-th of the whole stream; None where it has ended."""
+        before, block = self._count, self._next()
+        return None if block is None else (block, self._tested(before))
+
+    def _tested(self, before: int) -> BoolArray:
+        return np.asarray(np.arange(before, self._count) % self._every == 0)
 
     def _next(self) -> Telemetry | None:
         stop_if_asked()
@@ -234,7 +235,7 @@ class _Hours:
         self._hour: np.datetime64 | None = None
         self._rows, self._parts, self._squares = 0, 0, 0.0
 
-    def take(self, block: Telemetry) -> Changed | None:
+    def take(self, block: Telemetry, tested: BoolArray) -> Changed | None:
         hours = block.time.astype("datetime64[h]")
         for hour in np.unique(hours):
             if self._hour is not None and hour != self._hour and self._rows:
@@ -246,7 +247,8 @@ class _Hours:
                 self._rows, self._parts, self._squares = 0, 0, 0.0
             self._hour = hour
             before = self._watch.rows
-            changed = self._watch.take(block if hours[0] == hours[-1] else block.select(hours == hour))
+            inside = hours == hour
+            changed = self._watch.take(block if inside.all() else block.select(inside), tested[inside])
             z = self._watch.innovations
             self._rows += self._watch.rows - before
             self._parts, self._squares = self._parts + int((z != 0).sum()), self._squares + float(np.sum(z**2))

@@ -110,7 +110,7 @@ class Watch:
     last: np.datetime64 | None = None
     """Time of the last row."""
     rows: int = 0
-    """That were watched."""
+    """That were watched, with those passed over because they repeat the rounding of others."""
     innovations: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
     """(N, 3) of the rows that were taken last, of unit variance; zero where a component was not there."""
 
@@ -124,11 +124,16 @@ class Watch:
         """The evidence for any change; at `RUN` it rings."""
         return float(_PRIOR @ self.evidence)
 
-    def take(self, telemetry: Telemetry) -> Changed | None:
-        """Take rows; those that are not later than all before are left out. What has changed, where the evidence rings."""
-        return self.run(telemetry, armed=True, by_size=self.by_size)
+    def take(self, telemetry: Telemetry, tested: BoolArray | None = None) -> Changed | None:
+        """Take rows; those that are not later than all before are left out. What has changed, where the evidence rings.
 
-    def run(self, telemetry: Telemetry, *, armed: bool, by_size: bool) -> Changed | None:
+        tested: (N,) which rows are compared with the field; the others only count. None: all.
+        """
+        return self.run(telemetry, armed=True, by_size=self.by_size, tested=tested)
+
+    def run(
+        self, telemetry: Telemetry, *, armed: bool, by_size: bool, tested: BoolArray | None = None
+    ) -> Changed | None:
         """As `take`; not armed: to learn what the calibration is."""
         from fluxtwin.gap import watch_kernels
 
@@ -138,10 +143,13 @@ class Watch:
         if self.last is not None:
             usable = usable & (telemetry.time > self.last)
         self.innovations = np.zeros((0, 3))
-        if not usable.any():
+        compared = np.flatnonzero(usable if tested is None else usable & tested)
+        count = np.cumsum(usable)
+        if not compared.size:
+            self.rows += int(count[-1]) if armed and count.size else 0
             return None
-        used = telemetry if usable.all() else telemetry.select(usable)
-        rows = self._measured(used, corrected[usable], by_size)
+        used = telemetry if compared.size == len(telemetry) else telemetry.select(compared)
+        rows = self._measured(used, corrected[compared], by_size)
         before = used.time[:1] if self.last is None else np.array([self.last])
         steps_s = np.diff(np.concatenate([before, used.time])) / np.timedelta64(1, "s")
         decay = np.exp(-steps_s / self.noise.tau_s) if self.noise.tau_s > 0 else np.zeros(len(used))
@@ -156,7 +164,7 @@ class Watch:
             *rows, decay, self.back, _USUAL_nT, *changes, *carried, stamps, armed, *limits, self.innovations
         )
         self.last = used.time[-1]
-        self.rows += 0 if not armed else len(used) if rang < 0 else rang + 1
+        self.rows += int(count[-1 if rang < 0 else compared[rang]]) if armed else 0
         return None if rang < 0 else self._changed(used.time[rang])
 
     def _measured(self, used: Telemetry, reading: FloatArray, by_size: bool) -> tuple[Any, ...]:

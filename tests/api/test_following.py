@@ -100,6 +100,22 @@ def test_records_from_python_are_the_same_to_the_bit_in_any_pieces(record: Telem
     assert one.rows in range(other.rows - 250, other.rows + 250)  # begun where the first piece was long enough
 
 
+def test_rows_that_repeat_the_rounding_of_others_are_counted(tmp_path: Path) -> None:
+    """A row every two seconds, in steps of 200 nT: one in four is tested; an hour has 1,800 rows all the same."""
+    coarse = SECTIONS.replace("noise_nT = 20.0\nlsb_nT = 10.0", "noise_nT = 0.0\nlsb_nT = 200.0")
+    path = tmp_path / "s.toml"
+    path.write_text(scenario_text(coarse, seed=5, segment="duration_min = 160.0, step_s = 2.0"), encoding="utf-8")
+    record, said = fluxtwin.simulate(path)[0], list[str]()
+    pieces = [record.select(slice(i, i + 97)) for i in range(0, len(record), 97)]
+    known = fluxtwin.calibrate(record).calibration
+    found = fluxtwin.follow(iter(pieces), calibration=known, said=said.append)
+    assert found.changed is None and len(record) == found.rows == 4801 and "in 4801 rows" in found.line
+    assert said[1].startswith("2020-03-01T00Z: 1800 rows")
+    few = record.select(slice(0, None, 2))
+    with pytest.raises(fluxtwin.NoAnswer, match="2401 rows, of which one in 8 counts as the readings repeat: "):
+        fluxtwin.follow(few.replace(mag_B_nT=1500.0 * np.round(few.mag_B_nT / 1500.0)))
+
+
 def test_a_table_is_read_as_by_every_verb(record: Telemetry, tmp_path: Path) -> None:
     two = record.replace(mag_B_nT=np.full((len(record), 3), np.nan), mag2_B_nT=record.mag_B_nT)
     line = fluxtwin.follow(record, attitude_sigma_deg=0.05).line

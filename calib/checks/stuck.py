@@ -250,14 +250,16 @@ def _jumps(values: FloatArray, run: np.ndarray, least_step_nT: float) -> bool:
 def _moves(values: FloatArray, free: BoolArray, rows: int, least_step_nT: float) -> bool:
     """Whether stretches of so many rows (N, k) practically always move, the runs themselves left out.
 
-    Where the record is too short for such stretches elsewhere, shorter ones are asked, which move less.
+    Where there are not ten such stretches elsewhere, shorter ones are asked, which move less.
     """
-    rows = min(rows, max(STUCK_ROWS, len(values) // 8))
-    starts = np.linspace(0, len(values) - rows - 1, min(_WINDOWS, len(values) - rows)).astype(int)
-    taken = np.concatenate([[0], np.cumsum(~free | ~np.isfinite(values).all(axis=1))])
-    starts = starts[taken[starts + rows] == taken[starts]]
+    known = free & np.isfinite(values).all(axis=1)
+    taken = np.concatenate([[0], np.cumsum(~known)])
+    longest = int(np.diff(np.flatnonzero(np.concatenate([[True], ~known, [True]]))).max()) - 1
+    rows = max(2, min(rows, max(STUCK_ROWS, len(values) // 8), longest + 1 - STUCK_ROWS))
+    starts = np.flatnonzero(taken[rows:] == taken[:-rows])
     if starts.size < STUCK_ROWS:
         return False
+    starts = starts[np.linspace(0, starts.size - 1, min(_WINDOWS, starts.size)).astype(int)]
     places = starts[:, None] + np.linspace(0, rows - 1, min(rows, 60)).astype(int)
     return float(np.percentile(np.ptp(values[places], axis=1).max(axis=1), 1)) > STUCK_STEPS * least_step_nT
 

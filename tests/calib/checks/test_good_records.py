@@ -62,6 +62,15 @@ def test_a_stretch_of_zeros_is_one_trap_with_its_first_row(model: FieldModel, tm
     assert (found.code, found.row_count, found.rows[0]) == ("stuck_values", 40, 61), found.text
 
 
+@pytest.mark.parametrize("moving", [10, 40, 400])
+def test_a_reading_that_stands_still_to_the_end_is_stuck(moving: int, model: FieldModel, tmp_path: Path) -> None:
+    """However few the rows before it are."""
+    case = flown(model, 777, 3)
+    case.mag[moving:] = case.mag[moving]
+    (found,) = check_file(write(case, tmp_path / "record.csv"), model).traps
+    assert (found.code, found.row_count, found.rows[0]) == ("stuck_values", len(case.time) - moving, moving + 1)
+
+
 def test_fifty_stuck_runs_and_no_other_are_all_found() -> None:
     """Of 100 rows each, between twice as many that change: as many runs as are looked at, and no other to compare with."""
     rng = np.random.default_rng(2)

@@ -315,7 +315,7 @@ def _stamps(*choices: float, words: str | None = None, unseen: str | None = None
         case.label += f", stamps {shift:+g} s"
         said = f"{abs(shift) / 3600:g} h " if abs(shift) >= 3600.0 else f"{abs(shift):g} s "
         late = "late" if shift > 0 else "early"
-        blind = r"\b1 h would not show" if case.q is None else unseen
+        blind = r"\b1 h (and 1 day )?would not show" if case.q is None else unseen
         return Wanted(("clock",), words or rf"too {late}.*\b{said.strip()}\b|\b{said}.*too {late}", unseen=blind)
 
     return act

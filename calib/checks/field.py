@@ -242,19 +242,20 @@ def _best(tried: list[Hypothesis], evidence: Evidence, misfit_nT: FloatArray) ->
 
 
 def _likeliest(tried: list[Hypothesis], odds: FloatArray, misfit_nT: FloatArray) -> int:
-    """The likeliest hypothesis, or the record as it stands, or an orientation with less wrong, that would be likelier if
-    both fitted alike, as they may.
+    """The likeliest hypothesis, or where that is an orientation one with less wrong, that would be likelier if both fitted
+    alike, as they may.
 
     Where the attitude is held, the errors of the recorded attitude are all that moves, and another convention is to the
     record what another draw of these errors is: the rms of n rows is known to 1 / sqrt(2 n), those of two draws differ by
     sqrt(2) times that. So three sigma of it tell nothing, and what they add to the evidence of 3 n values is taken off.
+    Stamps that are off turn the field about the pole, which is a turn of the axes to a body that is held.
     """
     best, rows = int(np.argmax(odds)), len(tried[0].predicted_nT)
     if tried[best].code not in ORIENTATION:
         return best
     misfit_nT = np.maximum(misfit_nT, MODEL_nT)
     worse = np.log(misfit_nT / misfit_nT[best])
-    simpler = np.array([one.code in ("", *ORIENTATION) and one.cost < tried[best].cost for one in tried])
+    simpler = np.array([one.cost < tried[best].cost for one in tried])
     simpler &= worse <= np.log1p(3.0 / rows**0.5)
     simpler[best] = True
     return int(np.argmax(np.where(simpler, odds + 3.0 * rows * worse, -np.inf)))

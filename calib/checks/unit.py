@@ -73,41 +73,50 @@ def check_unit(sample: Sample) -> list[Finding]:
     if 1.0 / UNIT_RATIO <= ratio <= UNIT_RATIO:
         return []
     medians = {"measured": plain(measured, 4), "expected": plain(expected, 4)}
-    bias_nT = _explaining_bias_nT(sample, ratio)
-    if bias_nT is not None:
-        return [note("large_bias.by_size", bias=plain(bias_nT, 2), **medians)]
+    if biased := _explaining_bias_nT(sample, ratio):
+        _, scale, left_nT = _middle_and_scale(sample)
+        if left_nT >= FAR_BETTER * biased[1] or 1.0 / UNIT_RATIO <= scale <= UNIT_RATIO:
+            return [note("large_bias.by_size", bias=plain(biased[0], 2), **medians)]
+        likely = _likely(sample, 1.0 / scale)
+    else:
+        likely = _likely(sample, ratio)
     impossible = " (an impossible |B|)" if measured > HIGHEST_FIELD_nT or measured < 20.0 else ""
-    more = {"ratio": plain(ratio), "likely": _likely(sample, ratio), "impossible": impossible}
+    more = {"ratio": plain(ratio), "likely": likely, "impossible": impossible}
     return [trap("magnetometer_unit.compared", **medians, **more)]
 
 
 def _offset_binary(sample: Sample) -> Finding | None:
-    """Counts from 0 on with zero in the middle of a range of 2^n steps, on all three axes; None where they are not that.
-
-    |m - d|^2 = (f / scale)^2 is linear in the middle d, in scale^-2 and in |d|^2.
-    """
+    """Counts from 0 on with zero in the middle of a range of 2^n steps, on all three axes; None where they are not that."""
     m, step = sample.mag_nT, step_nT(sample.mag_nT)
     if (m < 0.0).any() or not step:
         return None
-    size, wanted = float(m.max()), np.linalg.norm(sample.field_N_nT, axis=1)
-    square, unit = (wanted / wanted.mean()) ** 2, m / size
-    design = np.column_stack([2.0 * unit, np.ones(len(m)), square])
-    middle = np.linalg.lstsq(design, np.sum(unit**2, axis=1), rcond=1e-9)[0][:3] * size
+    middle, scale, left_nT = _middle_and_scale(sample)
     if (middle <= 0.0).any():
         return None
     zero = step * 2.0 ** np.rint(np.log2(np.median(middle) / step))
-    off = np.linalg.norm(m - middle, axis=1)
-    scale = float(np.median(wanted) / np.median(off))
-    left = _core_rms(off * scale - wanted)
     if (
-        size >= 2.0 * zero
+        m.max() >= 2.0 * zero
         or np.abs(middle / zero - 1.0).max() > _OFF_MIDDLE
-        or left > BIASED_MISFIT * np.median(wanted)
+        or left_nT > BIASED_MISFIT * np.median(np.linalg.norm(sample.field_N_nT, axis=1))
     ):
         return None
     return trap(
         "magnetometer_unit.offset_binary", last=f"{2.0 * zero - step:.6g}", zero=f"{zero:.6g}", scale=plain(scale)
     )
+
+
+def _middle_and_scale(sample: Sample) -> tuple[FloatArray, float, float]:
+    """What readings m are counted from, d (3,), and the nT of each 1, by |m - d| scale = |B|; and the rms [nT] it leaves.
+
+    |m - d|^2 = (|B| / scale)^2 is linear in d, in scale^-2 and in |d|^2.
+    """
+    size, wanted = float(np.abs(sample.mag_nT).max()), np.linalg.norm(sample.field_N_nT, axis=1)
+    square, unit = (wanted / wanted.mean()) ** 2, sample.mag_nT / size
+    design = np.column_stack([2.0 * unit, np.ones(len(unit)), square])
+    middle = np.linalg.lstsq(design, np.sum(unit**2, axis=1), rcond=1e-9)[0][:3] * size
+    off = np.linalg.norm(sample.mag_nT - middle, axis=1)
+    scale = float(np.median(wanted) / np.median(off))
+    return middle, scale, _core_rms(off * scale - wanted)
 
 
 def blind_magnitude(telemetry: Telemetry) -> list[Finding]:
@@ -145,7 +154,7 @@ def check_calibrated(
         if _TIMES_BETTER * applied < min(as_is, undone):
             said = f"{NOT_APPLIED}; calibrate without --onboard"
         elif _TIMES_BETTER * as_is < min(applied, undone):
-            said = "the readings are corrected by it already; calibrate --onboard undoes that"
+            said = "the readings are corrected by it already; `fluxtwin calibrate --onboard FILE` undoes that"
         elif _TIMES_BETTER * undone < min(applied, as_is):
             said = "it was applied and makes the readings worse, or it belongs to another sensor"
         return [
@@ -181,8 +190,9 @@ def _likely(sample: Sample, ratio: float) -> str:
     return guess or counts
 
 
-def _explaining_bias_nT(sample: Sample, ratio: float) -> float | None:
-    """Size of the bias that makes |B| fit as it stands, unless it is unbelievable or a known unit fits far better."""
+def _explaining_bias_nT(sample: Sample, ratio: float) -> tuple[float, float] | None:
+    """Size of the bias that makes |B| fit as it stands, and the rms that it leaves; None where it is unbelievable or a known
+    unit fits far better."""
     if ratio < CANCELLED:
         return None
     wanted = np.linalg.norm(sample.field_N_nT, axis=1)
@@ -194,7 +204,7 @@ def _explaining_bias_nT(sample: Sample, ratio: float) -> float | None:
     unit_fits = _nearest_unit(ratio, UNIT_RATIO) is not None and scaled < FAR_BETTER * misfit
     if size > LARGEST_BIAS_nT or misfit > allowed or unit_fits:
         return None
-    return size
+    return size, misfit
 
 
 def _magnitude_bias(mag_nT: FloatArray, wanted_nT: FloatArray) -> tuple[FloatArray, float]:

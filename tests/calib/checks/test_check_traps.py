@@ -79,6 +79,27 @@ def test_the_right_trap_is_named_first_and_alone(kind: str, model: FieldModel, t
     assert re.search(wanted.words, found.text), f"{case.label}: {found.text}"
 
 
+@pytest.mark.parametrize(
+    ("kind", "seed", "number"),
+    [
+        ("counts", 541, 18),  # a bias of half the field, and 4.35 nT a count
+        ("attitude to NEC", 541, 7),  # a third of the rows fits less badly in other axes
+        ("clock 2 to 12 h", 541, 2),  # to a body that is held, as a turn of the axes
+        ("a stretch in other axes", 541, 14),  # which an impossible S explains too
+        ("a stretch in other axes", 541, 18),  # of a quarter of the rows
+        ("a stretch in other axes", 1001, 3),
+    ],
+)
+def test_two_causes_that_look_alike_are_told_apart(
+    kind: str, seed: int, number: int, model: FieldModel, tmp_path: Path
+) -> None:
+    case = fly(stream(seed, f"traps.{kind}.{number}"), model, kind)
+    wanted = corrupt(case, kind)
+    assert wanted is not None
+    (found,) = checked(case, model, tmp_path).traps
+    assert found.code in wanted.codes and re.search(wanted.words, found.text), f"{case.label}: {found.text}"
+
+
 def test_good_records_are_not_flagged_and_hear_what_would_show(model: FieldModel, tmp_path: Path) -> None:
     for number in range(4):
         case = flown(model, GOOD, number)

@@ -30,7 +30,6 @@ _FACTS = {
     "noise": "noise model",
 }
 """What the page calls a fact of the provenance, where its own name does not say it."""
-PLAN = "To find out, run fluxtwin plan on the same file: it proposes what to fly."
 CORRECT = "fluxtwin apply TELEMETRY --scenario CLOSED.toml --out CORRECTED.nc"
 _ALL_TESTED = "Every effect of the catalogue could be tested."
 
@@ -42,11 +41,9 @@ def diagnosis_page(
     record: Telemetry | None = None,
     source: str = "TELEMETRY",
     correct: str = CORRECT,
+    closed: str = "",
 ) -> Page:
-    """The page of one diagnosis; record: the telemetry that was diagnosed; source: what names and reads it in a command.
-
-    correct: the command that corrects the readings with a closed scenario.
-    """
+    """The page of one diagnosis; record: the telemetry that was diagnosed; the others as `next_step`."""
     far = _far(diagnosis, record)
     seen = [one for one in far.figures if one.name in ("field", "gap_series")]
     as_it_stands = [PageSection("The residual of the file as it stands", [], [], seen)]
@@ -56,7 +53,7 @@ def diagnosis_page(
     return Page(
         title=title,
         verdict=_sentences(diagnosis)[0],
-        next_step=_next_step(diagnosis, source, correct),
+        next_step=next_step(diagnosis, source, correct, closed),
         sections=[
             *([PageSection("What it means", rest)] if rest else []),
             *(as_it_stands if _wrong_file(diagnosis) else _found(diagnosis, record, far)),
@@ -147,18 +144,28 @@ def correcting(diagnosis: Diagnosis, command: str) -> str:
     return f"{command} corrects the telemetry with {' and '.join(taken)} taken out" if taken else ""
 
 
-def _next_step(diagnosis: Diagnosis, source: str, correct: str) -> str:
+def next_step(diagnosis: Diagnosis, source: str = "TELEMETRY", correct: str = CORRECT, closed: str = "") -> str:
+    """What to do now, as terminal and page say it.
+
+    source: what names and reads the telemetry in a command. correct: the command that corrects it with a closed scenario.
+    closed: the scenario that was written with the effects that are named; empty for none.
+    """
     if diagnosis.sentence.startswith(FIRST):
         return "correct the file, and diagnose again."
     if diagnosis.verdict == "no_gap" and diagnosis.provenance.get("two_magnetometers", {}).get("differ"):
         return f"fluxtwin diagnose {source} --magnetometer 2: the two magnetometers differ, and the first shows no gap."
     if diagnosis.verdict == "no_gap":
-        return "nothing needs correcting. The tables below say what these data could not have shown."
+        return "nothing needs correcting. The tables say what these data could not have shown."
     if APART_FROM_THEM in diagnosis.sentence:
         return "find out why these rows are wrong, or leave their readings blank; the others need nothing."
-    if diagnosis.verdict == "unknown" or any(len(effect.group) > 1 for effect in diagnosis.effects):
+    unsure = diagnosis.verdict == "unknown" or any(len(effect.group) > 1 for effect in diagnosis.effects)
+    if unsure and not closed:
         return f"fluxtwin plan {source}, which proposes what to fly to find out."
     done = correcting(diagnosis, correct)
+    if closed:
+        done = done or f"fluxtwin simulate {closed} --out simulated.nc simulates with the named effects"
+        test = f"diagnose the telemetry of another day with --scenario {closed}"
+        return f"{done}; {f'fluxtwin plan {source} proposes what to fly to find out which it is' if unsure else test}."
     if diagnosis.transfers is not None:
         return f"{done and f'{done}; '}diagnose the telemetry of another day with the closed scenario (--scenario)."
     close = f"fluxtwin diagnose {source} --close CLOSED.toml. "
@@ -195,11 +202,7 @@ def where_lines(diagnosis: Diagnosis) -> list[str]:
     """Where the gap lies, in words; empty where there is none, and for a file that is wrong."""
     if diagnosis.verdict == "no_gap" or _wrong_file(diagnosis):
         return []
-    lines = located(diagnosis.where)
-    unknown = diagnosis.verdict == "unknown" and APART_FROM_THEM not in diagnosis.sentence
-    if unknown or any(len(effect.group) > 1 for effect in diagnosis.effects):
-        lines.append(PLAN)
-    return lines
+    return located(diagnosis.where)
 
 
 def what_lines(diagnosis: Diagnosis) -> list[str]:
@@ -230,8 +233,7 @@ def _wrong_file(diagnosis: Diagnosis) -> bool:
 def _where(diagnosis: Diagnosis) -> PageSection:
     if diagnosis.verdict == "no_gap":
         return PageSection("Where the gap lies", ["There is none, so no place is shown."])
-    lines = [line for line in where_lines(diagnosis) if line != PLAN]  # the page begins with it
-    return PageSection("Where the gap lies", lines, [places_table(diagnosis)])
+    return PageSection("Where the gap lies", where_lines(diagnosis), [places_table(diagnosis)])
 
 
 def places_table(diagnosis: Diagnosis) -> Table:
@@ -480,7 +482,7 @@ def small_table(diagnosis: Diagnosis) -> Table:
     words = diagnosis.would_settle
     rows = [[name, words[name]] for name in diagnosis.minimum_detectable if name in words and name not in named]
     note = "To see them, run fluxtwin plan on the same file: it proposes what to fly."
-    note = "" if PLAN in where_lines(diagnosis) else note
+    note = "" if "fluxtwin plan" in next_step(diagnosis) else note
     return Table("Not detectable at typical size", ["effect", "what would show it"], rows, note)
 
 

@@ -92,11 +92,13 @@ def command(
                 diagnosis, scenario=scenario, telemetry=telemetry[0], column_map=reading.column_map, declared=declared
             )
         named = (shlex.quote(str(telemetry[0])), reading.words, assumed.words)
-        correct = _correct(telemetry[0], close, reading)
-        _page(diagnosis, telemetry[0], html, record, source=" ".join(filter(None, named)), correct=correct)
+        commands = {"source": " ".join(filter(None, named)), "correct": _correct(telemetry[0], close, reading)}
+        if scene is not None:
+            commands["closed"] = shlex.quote(str(close))
+        _page(diagnosis, telemetry[0], html, record, **commands)
         if close is not None and scene is not None:
             save_scenario(scene, close)
-    _say(output, diagnosis, html, close, closed=scene is not None, correct=correct)
+    _say(output, diagnosis, html, close, **commands)
     output.result(diagnosis.to_dict())
 
 
@@ -140,7 +142,7 @@ def _follow(output: Output, telemetry: Path, html: Path | None, asked: dict[str,
 
     found = follow(str(telemetry), said=output.line, **asked, **reading._asdict())
     _page(found.diagnosis, telemetry, html)
-    _say(output, found.diagnosis, html, None, closed=False)
+    _say(output, found.diagnosis, html, None)
     output.result(found.to_dict())
     if found.changed is not None:
         raise typer.Exit(1)
@@ -189,13 +191,12 @@ def _page(
         write_page(page, html)
 
 
-def _say(
-    output: Output, diagnosis: Diagnosis, html: Path | None, close: Path | None, *, closed: bool, correct: str = ""
-) -> None:
+def _say(output: Output, diagnosis: Diagnosis, html: Path | None, close: Path | None, **commands: str) -> None:
     from fluxtwin import diagnosis_page
 
     for note in diagnosis.notes:
         output.note(f"note: {note}")
+    closed = "closed" in commands
     if close is not None and not closed:
         why = "what is named is not in the readings" if diagnosis.effects else "no effect is named"
         output.note(f"note: {why}, so there is nothing to close: {close} is not written")
@@ -203,6 +204,4 @@ def _say(
     output.say()
     output.tables(diagnosis_page.tables(diagnosis))
     output.files([html, close if closed else None], "written: ")
-    if closed and close is not None:
-        simulate = f"fluxtwin simulate {shlex.quote(str(close))} --out simulated.nc simulates with the named effects"
-        output.prose(f"Next: {diagnosis_page.correcting(diagnosis, correct) or simulate}")
+    output.prose(f"Next: {diagnosis_page.next_step(diagnosis, **commands)}")

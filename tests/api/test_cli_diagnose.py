@@ -181,9 +181,13 @@ def test_the_closed_scenario_simulates_and_closes_the_gap(late: Case, cli: Cli) 
 def test_next_is_a_command_that_runs(late: Case, cli: Cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A late clock cannot be taken out of the readings, a field of the torquers can."""
     simulate_it = (
-        f"Next: fluxtwin simulate {late.folder / 'closed.toml'} --out simulated.nc simulates with the named effects"
+        f"Next: fluxtwin simulate {late.folder / 'closed.toml'} --out simulated.nc simulates with the named effects; "
+        f"fluxtwin plan {late.telemetry} --noise-nT 30.0 --lsb-nT 10.0 --attitude-sigma-deg 0.05 proposes what to fly to "
+        "find out which it is."
     )
     assert " ".join(late.out.split()).endswith(simulate_it)
+    page = (late.folder / "a.html").read_text(encoding="utf-8")
+    assert simulate_it in re.sub("<[^>]*>", "", page)
     monkeypatch.chdir(tmp_path)
     flown, _ = simulate(fluxtwin.load_scenario("late_clock"))
     write_telemetry(flown.select(slice(0, len(flown) // 2)), tmp_path / "my flight.csv")

@@ -43,6 +43,8 @@ POSITION_TRAPS = {"position_frame", "position_inside_earth"}
 """With these nothing else can be compared with the field model."""
 _VAGUE = {"field_mismatch", "vector_mismatch", "outliers"}
 """Traps that name no cause."""
+_REPAIR = "`fluxtwin check FILE --repair OUT`"
+"""What sorts rows and drops exact duplicates."""
 _QUIET_ROWS = 100
 """As many as the comparison with the field takes at once: with fewer it says little."""
 __all__ = ["RECOGNISED", "CheckReport", "Finding", "check_file", "check_telemetry", "repair"]
@@ -177,7 +179,7 @@ def check_file(
     chosen = selection(start, end, where)
     table, how = _read(path, column_map, tle, max_samples or MAX_SAMPLES, chosen)
     mapped = column_map is not None or bool(how)
-    order = _order(table, "`sort = true` in the [[file]] of a column map" if mapped else "`--repair OUT`")
+    order = _order(table, "`sort = true` in the [[file]] of a column map" if mapped else _REPAIR)
     ordered, left_out = _ordered(table)
     order += left_out
     shifted = check_columns(table)
@@ -237,7 +239,7 @@ def repair(path: Path | str, out: Path | str, *, max_samples: int | None = None)
             raise
         wanted = "a file that has the columns of docs/telemetry.md"
         raise BadInput("a file read through a column map cannot be repaired", where=str(path), wanted=wanted) from None
-    findings = _order(table, "`--repair OUT`")
+    findings = _order(table, _REPAIR)
     ordered, left_out = _ordered(table)
     telemetry = record(ordered)
     write_telemetry(telemetry, out)

@@ -148,8 +148,19 @@ _FLAG = re.compile(
     r"fluxtwin [a-z]+(?: [\w./]+)?(?: --[\w-]+(?: [\w./,:]+)?)*|"  # a command stays one
     r"--(?P<flag>[a-z][\w-]*)(?: (?:(?P<number>\d+)|(?P<text>[A-Z]{3,}(?:\.[a-z]+)?|b(?:,[ST])*|tukey))(?![\w-]))?"
 )
-_SAID = ("sentence", "line", "notes", "messages", "warnings", "reasons", "not_observable", "verdict", "diagnosis")
-"""The parts of an answer that are words, or that have such parts."""
+_SAID = (
+    "sentence",
+    "line",
+    "notes",
+    "messages",
+    "warnings",
+    "reasons",
+    "not_observable",
+    "verdict",
+    "diagnosis",
+    "findings",
+)
+"""The parts of an answer that are words, or that have such parts; of one in a list also `text`, elsewhere a file."""
 
 
 def _require_kind(name: str, given: Any, annotation: str) -> None:
@@ -183,15 +194,16 @@ def _as_keywords(text: Any, known: Mapping[str, inspect.Parameter], flags: Mappi
     return _FLAG.sub(keyword, text) if isinstance(text, str) else text
 
 
-def _in_words_of(answer: Any, said: Callable[[Any], Any]) -> Any:
+def _in_words_of(answer: Any, said: Callable[[Any], Any], names: tuple[str, ...] = _SAID) -> Any:
     """An answer with its words as `said`; itself where nothing changes."""
     if not is_dataclass(answer) or isinstance(answer, type):
         return answer
     new = {}
-    for name in {*_SAID} & {one.name for one in fields(answer)}:
+    for name in {*names} & {one.name for one in fields(answer)}:
         part = getattr(answer, name)
         listed = isinstance(part, list | tuple)
-        spoken = type(part)(map(said, part)) if listed else _in_words_of(said(part), said)
+        every = [_in_words_of(said(one), said, (*_SAID, "text")) for one in (part if listed else [])]
+        spoken = type(part)(every) if listed else _in_words_of(said(part), said)
         if spoken is not part and (not listed or spoken != part):
             new[name] = spoken
     return replace(answer, **new) if new else answer

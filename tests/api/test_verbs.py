@@ -257,6 +257,19 @@ def test_an_answer_names_keywords_too_but_leaves_whole_commands(known: tuple[flu
     assert "fluxtwin calibrate TELEMETRY --parameters b,S,T" in f"{fit.verdict.lines} {fit}"
 
 
+def test_a_check_names_its_own_keywords_and_the_commands_of_others(
+    known: tuple[fluxtwin.Telemetry, Any], tmp_path: Path
+) -> None:
+    record, _ = known
+    two = fluxtwin.write(record.replace(mag2_B_nT=record.mag_B_nT), tmp_path / "two.nc")
+    (note,) = [note.text for note in fluxtwin.check(two).notes if note.code == "two_magnetometers"]
+    assert note.endswith("`magnetometer=2` checks the other one")
+    mag = np.array(record.mag_B_nT)
+    mag[7] += 40_000.0
+    (spoilt,) = fluxtwin.check(record.replace(mag_B_nT=mag)).traps
+    assert spoilt.text.endswith("or calibrate without them (`fluxtwin calibrate --robust tukey`)")
+
+
 def test_no_verb_writes_over_what_it_has_read(flown: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     fluxtwin.convert(flown, "t.csv")

@@ -54,10 +54,15 @@ class OutOfRange(BadInput):
 
 
 def nearest(word: str, known: Iterable[str], words: str = "; did you mean {}?", *, cutoff: float = 0.5) -> str:
-    """A hint at the known word that is nearest to another one, empty where none is near. words: with {} for it."""
+    """A hint at the known word that is nearest to another one, empty where none is near. words: with {} for it.
+
+    A name that has the word as a whole part, as `torquer_coupling` has `torquer`, is nearer than one that is spelled alike.
+    """
     import difflib  # a wrong word is rare
 
-    near = difflib.get_close_matches(word, list(known), n=1, cutoff=cutoff)
+    known = list(known)
+    longer = [name for name in known if f"_{word}_" in f"_{name}_"]
+    near = difflib.get_close_matches(word, longer or known, n=1, cutoff=0.0 if longer else cutoff)
     return words.format(near[0]) if near else ""
 
 

@@ -51,10 +51,14 @@ def test_one_effect_in_full_gives_a_section_that_works(cli: Cli, name: str) -> N
     assert theta.tolist() == [parameter.scale for parameter in effect.parameters]
 
 
-def test_a_mistyped_effect_is_named_with_the_nearest(cli: Cli) -> None:
-    outcome = cli("effects", "yaw_drif")
+@pytest.mark.parametrize(
+    ("given", "nearest"),
+    [("yaw_drif", "yaw_drift"), ("torquer", "torquer_coupling"), ("solar_array", "solar_array_current")],
+)
+def test_a_mistyped_effect_is_named_with_the_nearest(given: str, nearest: str, cli: Cli) -> None:
+    outcome = cli("effects", given)
     assert outcome.status == 2
-    assert "did you mean yaw_drift?" in outcome.err
+    assert f"did you mean {nearest}?" in outcome.err
 
 
 def test_simulate_with_effects_writes_them_to_the_truth_only(cli: Cli, tmp_path: Path) -> None:

@@ -175,9 +175,19 @@ class Scenario(SensorSections):
 
     def to_toml(self) -> str:
         """The scenario as TOML, every key that has a value, so that it does not change with the defaults."""
-        tree = self.model_dump(exclude_none=True)
+        tree = _without_empty(self, self.model_dump(exclude_none=True))
         ordered = {name: tree[name] for name in sorted(tree, key=lambda name: name in SensorSections.model_fields)}
         return tomli_w.dumps(ordered)
+
+
+def _without_empty(section: BaseModel, tree: dict[str, Any]) -> dict[str, Any]:
+    """The tree of a section without tables of free keys that have none; a section with its defaults stays."""
+    out = {}
+    for name, value in tree.items():
+        own = getattr(section, name)
+        if own != {}:
+            out[name] = _without_empty(own, value) if isinstance(own, BaseModel) else value
+    return out
 
 
 def _section_of(section: type[BaseModel] | None, part: str) -> type[BaseModel] | None:

@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from worlds import scenario_text
 
+from fluxtwin.scenarios import packaged
 from fluxtwin.scenarios.seasat import mission
 from fluxtwin.sim.base.errors import BadInput, OutOfRange
 from fluxtwin.sim.base.limits import TEXT_BYTES
@@ -31,6 +32,14 @@ def test_a_saved_scenario_repeats_the_run_bit_for_bit(tmp_path):
     assert np.array_equal(first.q_NB, second.q_NB)
     other = simulate(scenario.updated({"seed": 12}))[0]
     assert not np.array_equal(first.mag_B_nT, other.mag_B_nT)
+
+
+def test_a_saved_scenario_has_no_table_of_names_without_one():
+    scenario = packaged.load_scenario("late_clock")
+    text = scenario.to_toml()
+    assert "[effects.time_tag_offset]" in text and "[drivers]" not in text and "[draws]" not in text
+    assert "[effects.driver]" not in text and "[effects.law]" not in text
+    assert parse_scenario(text) == scenario
 
 
 @given(st.tuples(*9 * [st.floats(-0.4, 0.4)]), st.tuples(*3 * [st.floats(-1e5, 1e5)]), st.integers(0, 2**31))

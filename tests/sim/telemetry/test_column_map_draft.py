@@ -507,6 +507,13 @@ def test_bare_names_of_a_unit_norm_are_a_quaternion_and_a_place_has_fill_values(
     assert "attitude = { from" not in draft([table(tmp_path / "data.csv", columns)])
 
 
+def test_a_row_of_units_below_the_header_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "t.csv"
+    path.write_text("t,Bx,By,Bz\nUTC,uT,uT,uT\n2026-03-01 00:00:00,20.1,3.2,-30.5\n2026-03-01 00:00:10,20,3,-30\n")
+    with pytest.raises(BadInput, match="row below the header has words where the others have numbers: UTC, uT"):
+        draft([path])
+
+
 def test_a_number_that_only_looks_like_a_fill_value_is_none(tmp_path: Path) -> None:
     counts = np.round(MAG / 10.0)
     counts[5, 0] = -999.0

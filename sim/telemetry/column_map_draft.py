@@ -250,7 +250,7 @@ def _file(header: Header, *, named: bool, seen: set[str], by_size: bool) -> tupl
         lines += [*(f"{CONFIRM} {text}" for text in doubts), f"{quantity} = {{ {inner} }}"]
         used |= set(columns)
     rest = [
-        name if name in header.values else f"{name} (not all numbers)"
+        name if name in header.values else f"{name} (not all numbers{header.odd.get(name, '')})"
         for name in header.names
         if name and name not in used
     ]

@@ -41,6 +41,8 @@ class Header:
     rows: int = 0
     texts: dict[str, list[str]] = field(default_factory=dict)
     """Some cells of the columns of text as they stand."""
+    odd: dict[str, str] = field(default_factory=dict)
+    """Words with the first cell that is no number, of columns that begin with some."""
     sheet: str | None = None
     pattern: str = ""
     """Of the names of several files with this header."""
@@ -103,9 +105,15 @@ def _look(header: Header, name: str, text: np.ndarray) -> None:
     if any(re.match(r"\d{4}-\d\d-\d\d[T ]\d\d:", cell) for cell in cells[:20]):
         header.iso.append(name)
         return
+    numbers = list[float]()
     with suppress(ValueError):
-        header.values[name] = np.array([TRUTHS[c.lower()] if c.lower() in TRUTHS else float(c or "nan") for c in cells])
+        for cell in cells:
+            numbers.append(TRUTHS[cell.lower()] if cell.lower() in TRUTHS else float(cell or "nan"))
+    if len(numbers) == len(cells):
+        header.values[name] = np.array(numbers)
         return
+    if any(np.isfinite(numbers)):
+        header.odd[name] = f": {clip(cells[len(numbers)])!r}"
     with suppress(BadInput):
         listed = from_lists(text[:_SAMPLE], name, str(header.path))
         if listed.shape[1] in (3, 4):

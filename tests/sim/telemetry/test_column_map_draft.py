@@ -228,7 +228,7 @@ def test_a_draft_is_written_whatever_is_understood_and_says_what_to_fill_in(tmp_
     )
     lines[5] = re.sub(r",[^,]+$", ",-", lines[5])  # as a spreadsheet shows a missing value, and its two empty columns
     (tmp_path / "x.csv").write_text("".join(f"{line},,\n" for line in lines), encoding="utf-8")
-    assert "# not used: mag_x, mag_y, mag_z (not all numbers)\n" in draft([tmp_path / "x.csv"])
+    assert "# not used: mag_x, mag_y, mag_z (not all numbers: '-')\n" in draft([tmp_path / "x.csv"])
     shuffled = {"n": np.random.default_rng(1).permutation(UNIX), **triple("mag_x mag_y mag_z", MAG)}
     text = draft([table(tmp_path / "b.csv", shuffled)])
     assert f"{CONFIRM} no column looks like time: write it" in text and '\n# time = { recipe = "iso", columns' in text

@@ -11,7 +11,6 @@ from matplotlib.figure import Figure
 
 from fluxtwin.plots import style
 from fluxtwin.sim.base.types import BoolArray, FloatArray
-from fluxtwin.sim.effects.region import depth_deg
 
 
 def draw_ranges(
@@ -201,24 +200,24 @@ def draw_night_map(
     latitude_deg: FloatArray,
     longitude_deg: FloatArray,
     residual_nT: FloatArray,
-    put_in_deg: tuple[float, ...],
-    found_deg: tuple[float, ...] | None,
+    put_in_deg: FloatArray,
+    found_deg: FloatArray | None,
     *,
     title: str,
 ) -> Figure:
-    """Rows by night on the map, coloured by residual; the region that was put in and the one found, as
-    `SwitchedField.region_deg` has them."""
+    """Rows by night on the map, coloured by residual; the edges of the region that was put in and of the
+    one found, longitude and latitude (2, K)."""
     figure, ((axes,),) = style.figure(7.2, 3.6)
     limit = float(np.nanpercentile(np.abs(residual_nT), 99))
     look: dict[str, Any] = {"cmap": style.SIGNED_MAP, "vmin": -limit, "vmax": limit}
     rim: dict[str, Any] = {"edgecolors": style.GREY, "linewidths": 0.2}
     shown = axes.scatter(longitude_deg, latitude_deg, c=residual_nT, s=7, **look, **rim)
-    longitude, latitude = np.meshgrid(np.linspace(-180.0, 180.0, 721), np.linspace(-90.0, 90.0, 361))
-    for region, colour, line, label in ((found_deg, style.SKY, "-", "found"), (put_in_deg, style.BLACK, ":", "put in")):
-        if region is not None:
-            width, depth = 4.0 if line == "-" else 1.8, np.minimum(depth_deg(latitude, longitude, region), 180.0)
-            axes.contour(longitude, latitude, depth, [0.0], colors=colour, linestyles=line, linewidths=width)
-            axes.plot([], [], color=colour, linestyle=line, linewidth=width, label=label)
+    for outline, colour, line, label in (
+        (found_deg, style.SKY, "-", "found"),
+        (put_in_deg, style.BLACK, ":", "put in"),
+    ):
+        if outline is not None:
+            axes.plot(*outline, color=colour, linestyle=line, linewidth=4.0 if line == "-" else 1.8, label=label)
     style.coast(axes)
     figure.colorbar(shown, ax=axes, label="|B| minus model [nT]")
     style.label(axes, x="longitude [deg]", y="latitude [deg]", title=title)

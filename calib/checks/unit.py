@@ -17,6 +17,7 @@ from fluxtwin.calib.checks.sample import FEWEST, Sample, comparable
 from fluxtwin.calib.common.conventions import OffsetFirst
 from fluxtwin.calib.common.digits import plain
 from fluxtwin.calib.common.records import Onboard
+from fluxtwin.calib.common.robust import MAD_TO_SIGMA
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.earth.field import FieldModel
 from fluxtwin.sim.telemetry.record import Telemetry
@@ -168,7 +169,7 @@ def check_calibrated(
 
 def _misfit_nT(mag_nT: FloatArray, size_nT: FloatArray) -> float:
     """Of |B|, as an rms that single outliers do not move."""
-    return float(1.4826 * np.median(np.abs(np.linalg.norm(mag_nT, axis=1) - size_nT)))
+    return float(MAD_TO_SIGMA * np.median(np.abs(np.linalg.norm(mag_nT, axis=1) - size_nT)))
 
 
 def _nearest_unit(ratio: float, within: float) -> str | None:

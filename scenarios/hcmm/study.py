@@ -34,6 +34,7 @@ from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.earth.constants import NT_PER_MG
 from fluxtwin.sim.earth.field import load_field
 from fluxtwin.sim.earth.horizon import INFRARED_SOURCE
+from fluxtwin.sim.effects.region import outline_deg
 from fluxtwin.sim.effects.switched_field import SwitchedField
 
 
@@ -81,7 +82,7 @@ def words() -> Words:
         known=(
             *(calibration, predictions, scanner, strength, yaw),
             *(calibration_summary, column_of, epoch.iso, epoch.seconds_since, located, mission.quantity),
-            *(SwitchedField, tuple),
+            *(SwitchedField, outline_deg, tuple),
             *(open_channel, pulls, rms_along, rms_mG, rms_of, vector, vector_sigma),
         ),
         clock=lambda time: epoch.iso(time)[11:19],

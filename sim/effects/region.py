@@ -38,6 +38,19 @@ def depth_deg(latitude_deg: FloatArray, longitude_deg: FloatArray, region_deg: S
     return np.asarray(depth)
 
 
+def outline_deg(region_deg: Sequence[float]) -> FloatArray:
+    """(2, K) longitude, not reduced to a turn, and latitude along the edge of a region."""
+    if len(region_deg) == 4:
+        south, north, west, east = region_deg
+        return np.array([[west, east, east, west, west], [south, south, north, north, south]])
+    latitude, longitude, radius = np.radians(region_deg)
+    bearing = np.linspace(0.0, 2.0 * np.pi, 181)
+    sine = np.sin(latitude) * np.cos(radius) + np.cos(latitude) * np.sin(radius) * np.cos(bearing)
+    east = np.sin(bearing) * np.sin(radius) * np.cos(latitude)
+    turned = np.arctan2(east, np.cos(radius) - np.sin(latitude) * sine)
+    return np.asarray(np.degrees(np.stack([longitude + turned, np.arcsin(np.clip(sine, -1.0, 1.0))])))
+
+
 def region_words(region_deg: Sequence[float]) -> str:
     """Where a region is, to read."""
     if len(region_deg) == 3:

@@ -20,7 +20,7 @@ from fluxtwin.sim.effects.calibration import BiasRandomWalk, BiasStep
 from fluxtwin.sim.effects.catalogue import CATALOGUE, find_effect
 from fluxtwin.sim.effects.chain import Chain, jacobian
 from fluxtwin.sim.effects.digits import BitErrors, CoarseQuantization, ExcessNoise
-from fluxtwin.sim.effects.region import depth_deg
+from fluxtwin.sim.effects.region import depth_deg, outline_deg
 from fluxtwin.sim.effects.response import Saturation
 from fluxtwin.sim.effects.signal import Setting
 from fluxtwin.sim.effects.spacecraft_field import BatteryCurrent, SolarArrayCurrent, WheelField
@@ -295,6 +295,9 @@ def test_how_far_within_a_region_points_lie() -> None:
     away = depth_deg(latitude[:3], longitude[:3], (0.0, 180.0, 10.0))
     np.testing.assert_allclose(away, [8.0, 0.0, -40.0], atol=1e-9)
     np.testing.assert_array_equal(depth_deg(latitude, longitude, (-90.0, 90.0, -180.0, 180.0)), np.inf)
+    for region in (box, (50.0, 170.0, 30.0)):
+        east, north = outline_deg(region)
+        np.testing.assert_allclose(depth_deg(north, east, region)[:3], 0.0, atol=1e-9)
 
 
 @pytest.mark.parametrize(

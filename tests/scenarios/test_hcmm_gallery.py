@@ -27,7 +27,7 @@ def answers(lawless):
     ("key", "name", "stage", "condition", "located"),
     [
         ("a", "sun_sensor_head_misalignment", "attitude", "head", "head 1"),
-        ("b", "switched_field", "spacecraft", "region", "night"),
+        ("b", "switched_field", "spacecraft", "region", "by night over"),
         ("c", "torquer_coupling", "spacecraft", "torquer", "torquers"),
         ("d", "scale_misalignment", "sensor", "field_strength", "axis x"),
     ],

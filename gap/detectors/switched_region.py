@@ -2,7 +2,7 @@
 
 Boxes of latitude and longitude are tried over all places that the record passes, and the best is refined edge by edge, and
 as a circle. Any patch of wrong field looks a little like that, so the name is given only if a field of the Earth's own is
-excluded, if no block of columns does as well, and if the record passes the region more than once. The Earth's own is there
+excluded, and if no block of columns and no single pass, an interval of time, does as well. The Earth's own is there
 by day too, and seen from above it has no sharper edges than the altitude: of two half planes, one magnetised, the field at
 height h goes over as the arctangent of the distance in units of h (Blakely 1995, chapter 9).
 """
@@ -69,8 +69,9 @@ def switched_region(problem: Problem, left: ProjectedResidual, rivals: Sequence[
         return None
     faults = does_as_well(value, one, rivals)
     on = place.on(effect.condition, region)
-    if np.count_nonzero(on[1:] & ~on[:-1]) + on[0] < 2:
-        faults.append("the record passes the region once, so an interval of time would look the same")
+    tried = float(np.log(len(search.known)))
+    if max(fitted(left, in_body(one.astype(float)), 2).worth(tried, 2) for one in _passes(on)) >= value:
+        faults.append("an interval of time does as well")
     day = (place.depth(region) >= 0.0) & ~on
     if day.sum() >= _FEWEST_ROWS:
         if stands_out(left, images, in_body(day.astype(float))):
@@ -123,6 +124,12 @@ class _Search:
         if key not in self.known:
             self.known[key] = fitted(self.left, in_body(on.astype(float))).drop
         return self.known[key]
+
+
+def _passes(on: BoolArray) -> list[BoolArray]:
+    """(N,) each stretch of rows that are on."""
+    number = np.cumsum(on & ~np.concatenate([[False], on[:-1]]))
+    return [on & (number == one) for one in range(1, int(number[-1]) + 1)]
 
 
 def _place(setting: Setting) -> _Place:

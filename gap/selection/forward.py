@@ -157,7 +157,7 @@ class Search(Generic[OfChannel]):
         more = [self.channel.candidate(effect, self.base.modelled) for effect in effects]
         own = whitened(more, self.channel, self.base.residual.shape[0])
         self.found = [*self.found, *more]
-        new = own.reshape(-1, own.shape[2])
+        new = own.reshape(3 * len(own), own.shape[2])
         mixed = self.white.reshape(len(new), -1).T @ new
         self.gram = np.block([[self.gram, mixed], [mixed.T, new.T @ new]])
         self.white = np.concatenate([self.white, own], axis=2)
@@ -181,7 +181,7 @@ def begin(
     jumps = [replace(effect, at=at) for effect in steps for at in channel.jumps(base)]
     found = [*found, *(channel.candidate(effect, base.modelled) for effect in jumps)]
     white = whitened(found, channel, base.residual.shape[0])
-    flat = white.reshape(-1, white.shape[2])
+    flat = white.reshape(3 * len(white), white.shape[2])
     gram = flat.T @ flat
     first = board(found, white, base.residual, base.basis, channel.measured, channel.share_left, gram)
     return Search(channel, found, base, first, white, gram, first.same, tested_before, earlier=earlier or {})

@@ -380,7 +380,7 @@ def _modes(jacobian: FloatArray, free: BoolArray) -> tuple[FloatArray, FloatArra
 
 def _flat(jacobian: FloatArray) -> FloatArray:
     """(3M, p) of (M, 3, p)."""
-    return jacobian.reshape(-1, jacobian.shape[2])
+    return jacobian.reshape(3 * len(jacobian), jacobian.shape[2])
 
 
 def _search_line(

@@ -273,7 +273,7 @@ def board(
     basis = orthonormal(nuisance) if nuisance.ndim == 3 else nuisance
     owner = np.concatenate([np.full(int(c.live.sum()), n) for n, c in enumerate(candidates)] or [np.zeros(0, int)])
     place = np.concatenate([np.flatnonzero(c.live) for c in candidates] or [np.zeros(0, int)])
-    flat = white.reshape(-1, white.shape[2])
+    flat = white.reshape(3 * len(white), white.shape[2])
     gram = flat.T @ flat if gram is None else gram
     lengths = np.sqrt(np.diag(gram))
     lengths = np.where(lengths > 0, lengths, 1.0)

@@ -56,12 +56,13 @@ def switched_region(problem: Problem, left: ProjectedResidual, rivals: Sequence[
     """
     place = _place(problem.setting)
     search = _Search(left, place)
-    found = []
-    for condition, region in search.best():
+    trials, found = search.best(), []
+    tried = float(np.log(max(len(search.known), 1)))
+    for condition, region in trials:
         effect = SwitchedField(condition, region_deg=region)
         images = problem.derivatives([(effect, np.zeros(3))])
         one = fitted(left, images, len(region))  # the edges are estimated with the field
-        found.append((one.worth(float(np.log(len(search.known))), len(region)), effect, region, images, one))
+        found.append((one.worth(tried, len(region)), effect, region, images, one))
     if not found:
         return None
     value, effect, region, images, one = max(found, key=lambda trial: trial[0])
@@ -69,8 +70,7 @@ def switched_region(problem: Problem, left: ProjectedResidual, rivals: Sequence[
         return None
     faults = does_as_well(value, one, rivals)
     on = place.on(effect.condition, region)
-    tried = float(np.log(len(search.known)))
-    if max(fitted(left, in_body(one.astype(float)), 2).worth(tried, 2) for one in _passes(on)) >= value:
+    if max(fitted(left, in_body(rows.astype(float)), 2).worth(tried, 2) for rows in _passes(on)) >= value:
         faults.append("an interval of time does as well")
     day = (place.depth(region) >= 0.0) & ~on
     if day.sum() >= _FEWEST_ROWS:

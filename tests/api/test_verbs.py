@@ -266,8 +266,8 @@ def test_a_check_names_its_own_keywords_and_the_commands_of_others(
     assert note.endswith("`magnetometer=2` checks the other one")
     mag = np.array(record.mag_B_nT)
     mag[7] += 40_000.0
-    (spoilt,) = fluxtwin.check(record.replace(mag_B_nT=mag)).traps
-    assert spoilt.text.endswith("or calibrate without them (`fluxtwin calibrate --robust tukey`)")
+    (outliers,) = fluxtwin.check(record.replace(mag_B_nT=mag)).traps
+    assert outliers.text.endswith("or calibrate without them (`fluxtwin calibrate --robust tukey`)")
 
 
 def test_no_verb_writes_over_what_it_has_read(flown: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -182,26 +182,19 @@ def weighed(
     samples = under_way.samples
     explained = [max(path[0][0].chi2 - fit.chi2, 0.0) for fit, _ in path]
     beyond = [left.drop if left.structured else 0.0 for left in lefts]
-    for place in reversed(range(len(path) - 1)):
+    one_more = [_added(under_way.one_cause, one, more) == 1 for (one, _), (more, _) in pairwise(path)]
+    for place in reversed(range(len(one_more))):
         # What one more name explains is better known by its refit than by the finding that led to it.
         further = explained[place + 1] - explained[place] + beyond[place + 1]
-        one_more = _added(under_way.one_cause, path[place][0], path[place + 1][0]) == 1
-        beyond[place] = further if one_more else max(beyond[place], further)
+        beyond[place] = further if one_more[place] else max(beyond[place], further)
     found: list[Explanation] = []
     names = 0.0
     for place, ((fit, beside), left) in enumerate(zip(path, lefts, strict=True)):
         if place:
-            before = path[place - 1][0]
-            names = _worth_of_names(
-                under_way, fit, names if _added(under_way.one_cause, before, fit) == 1 else None, before
-            )
+            names = _worth_of_names(under_way, fit, names if one_more[place - 1] else None, path[place - 1][0])
         wider = 1.0 + SHAPE * explained[place]
         # What one more name takes away whole is in its direction alone.
-        whole = (
-            place + 1 < len(path)
-            and _added(under_way.one_cause, fit, path[place + 1][0]) == 1
-            and not lefts[place + 1].structured
-        )
+        whole = place < len(one_more) and one_more[place] and not lefts[place + 1].structured
         seen = max(beyond[place], left.drop) if whole else beyond[place]
         shaped = names + worth_of_shape(seen, explained[place], alone=whole)
         worth = max(shaped, names + gained[place]) - gained[0]

@@ -231,17 +231,6 @@ def _path(gain: FloatArray, penalty: float) -> BoolArray:
     return on
 
 
-def upper_of_two(z: FloatArray) -> BoolArray:
-    """(N,) which of a series are nearer to the upper one of two levels, each the mean of those near it."""
-    border = 0.5 * float(z.min() + z.max())
-    for _ in range(_ROUNDS):
-        on = z > border
-        if not on.any() or on.all():
-            break
-        border = 0.5 * float(z[on].mean() + z[~on].mean())
-    return np.asarray(z > border)
-
-
 def _regularity(setting: Setting, on: BoolArray) -> float:
     """p-value of dwell times as regular as these for a random telegraph with as many switches."""
     sunlit = lit(setting) > 0.5

@@ -27,7 +27,7 @@ from fluxtwin.gap.detectors.lines import (
 from fluxtwin.gap.detectors.random_walk import random_walk
 from fluxtwin.gap.detectors.residual_structure import Structure, residual_structure
 from fluxtwin.gap.detectors.switched_region import switched_region
-from fluxtwin.gap.detectors.thermostat import heater_sequence, log_sequences, upper_of_two
+from fluxtwin.gap.detectors.thermostat import heater_sequence, log_sequences
 from fluxtwin.gap.hypotheses.blocks import Dictionary, in_body
 from fluxtwin.gap.linear.projection import ProjectedResidual, projected
 from fluxtwin.gap.noise.choice import NoiseModel, Whitener, choose_noise, whitener_of
@@ -144,7 +144,8 @@ class Structured:
                 fewer.append(([one for one in kept if one is not other], named, saved))
         for shapes, chosen, saved in fewer:
             residual, columns, rest = beside(shapes, chosen)
-            start = upper_of_two((residual - with_all) @ heater.theta)
+            along = (residual - with_all) @ heater.theta
+            start = along > 0.5 * (along.min() + along.max())
             line, fits = strongest_line(setting.seconds, rest), self.dictionary.fits(rest)
             found = heater_sequence(setting, rest, residual, columns, fits, line, start)
             if found is not None and found.confirmed and (cost := self._cost(rest, found) - saved) < least:

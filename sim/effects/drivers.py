@@ -10,6 +10,7 @@ import numpy as np
 
 from fluxtwin.sim.base.late import late, varies
 from fluxtwin.sim.base.types import BoolArray, FloatArray
+from fluxtwin.sim.earth.constants import EARTH_RADIUS_KM
 from fluxtwin.sim.earth.orbit import kepler_period_s
 from fluxtwin.sim.effects.base import known_column
 from fluxtwin.sim.effects.history import relax
@@ -20,6 +21,8 @@ ArrayKind = Literal["zenith", "tracking", "constant"]
 """A panel on the -z face, an array that turns about y, or a current that only shadow cuts."""
 PanelKind = Literal[ArrayKind, "balance"]
 """These, or what the battery says."""
+BatteryKind = Literal[ArrayKind, "tapered"]
+"""These, or a charging current that falls as the battery fills."""
 Face = tuple[float, float, float]
 """Outward normal of a panel that is fixed to the body, body axes."""
 
@@ -100,6 +103,37 @@ def battery_current_A(setting: Setting, panel: ArrayKind | Face = "constant") ->
         if column is not None:
             return column
     return 2.0 * array_current_A(setting, panel) - 1.0
+
+
+def tapered_A(setting: Setting, taper_s: float, trickle: float) -> FloatArray:
+    """(N,) current of a battery that is charged with 1 A at sunrise, falling with a time constant to the share `trickle`,
+    and that gives in the shadow what it took in the sun."""
+    since_s, sunlit_s = _since_sunrise_s(setting)
+    charging = trickle + (1.0 - trickle) * np.exp(-since_s / taper_s)
+    taken = trickle * sunlit_s - (1.0 - trickle) * taper_s * np.expm1(-sunlit_s / taper_s)
+    dark_s = orbital_period_s(setting) - sunlit_s
+    given = np.divide(taken, dark_s, out=np.zeros_like(taken), where=dark_s > 0.0)
+    light = lit(setting)
+    return np.asarray(light * charging - (1.0 - light) * given)
+
+
+def _since_sunrise_s(setting: Setting) -> tuple[FloatArray, FloatArray]:
+    """(N,) time since the satellite last left the shadow, and how long its orbit is in the sun.
+
+    From the geometry of each row, with a circular orbit and a cylindrical shadow: a record may start in the sun, or lack
+    the sunrise.
+    """
+    r, v, _ = setting.given
+    normal = np.cross(r, v)
+    normal /= np.linalg.norm(normal, axis=1)[:, None]
+    noon = setting.sun_N - np.einsum("ij,ij->i", setting.sun_N, normal)[:, None] * normal
+    eastward = np.cross(normal, noon)
+    since_midnight = np.arctan2(-np.einsum("ij,ij->i", eastward, r), -np.einsum("ij,ij->i", noon, r))
+    # In the shadow the distance to the axis is less than the Earth's radius: cos(angle from midnight) |noon| > horizon.
+    horizon = np.sqrt(np.maximum(1.0 - (EARTH_RADIUS_KM / np.linalg.norm(r, axis=1)) ** 2, 0.0))
+    half = np.arccos(np.minimum(horizon / np.maximum(np.linalg.norm(noon, axis=1), horizon), 1.0))
+    rad_s = 2.0 * np.pi / orbital_period_s(setting)
+    return np.mod(since_midnight - half, 2.0 * np.pi) / rad_s, 2.0 * (np.pi - half) / rad_s
 
 
 def temperature_K(setting: Setting, time_constant_s: float) -> FloatArray:

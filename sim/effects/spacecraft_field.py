@@ -6,11 +6,13 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.late import bridged, lateness_near, lateness_tried, restarts, varies
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.effects.base import MATRIX, Parameter, SpacecraftField, held, known_column, mapped, vector_parameters
 from fluxtwin.sim.effects.drivers import (
-    ArrayKind,
+    TIME_CONSTANTS_S,
+    BatteryKind,
     Face,
     PanelKind,
     array_current_A,
@@ -21,6 +23,7 @@ from fluxtwin.sim.effects.drivers import (
     lit,
     panels_that_show,
     sun_in_body,
+    tapered_A,
 )
 from fluxtwin.sim.effects.signal import Setting, Signal
 
@@ -162,7 +165,8 @@ class BatteryCurrent(SpacecraftField):
 
     Without the column `battery_current_A` the current is that of the array less a constant load, or, where that is not
     recorded either, that of an array of 2 A in full sun less a load of 1 A: `panel` says how its current follows the sun, as
-    in `solar_array_current`.
+    in `solar_array_current`. A `panel` that is "tapered" stands for a battery that limits its charging current itself: 1 A
+    at sunrise, falling with the time constant `taper_s` to the share `trickle`, and the charge given back in the shadow.
     """
 
     name = "battery_current"
@@ -173,28 +177,58 @@ class BatteryCurrent(SpacecraftField):
         "field in full sun [nT], on the panel that is assumed, and -s that in shadow (CryoSat-2: Olsen et al. 2020, doi "
         "10.1186/s40623-020-01171-9)"
     )
-    panel: ArrayKind | Face = "constant"
+    panel: BatteryKind | Face = "constant"
+    taper_s: float | None = None
+    trickle: float | None = None
 
     parameters = vector_parameters("s", "nT/A", 20.0)
 
     def alternatives(self, setting: Setting) -> tuple[BatteryCurrent, ...]:
-        if not self.stands_in(setting):
+        if known_column(setting, "battery_current_A") is not None:
             return (self,)
-        return tuple(BatteryCurrent(kind) for kind in panels_that_show(setting)) or (self,)
+        like_the_array = panels_that_show(setting) if self.stands_in(setting) else (self.panel,)
+        kinds = tuple(BatteryCurrent(kind) for kind in like_the_array)
+        tapers = tuple(BatteryCurrent("tapered", tau_s, 0.0) for tau_s in TIME_CONSTANTS_S[1:])
+        return (*kinds, *(one for one in tapers if varies(one.values(setting)))) or (self,)
+
+    def between(self, setting: Setting, ratio: float) -> BatteryCurrent | None:
+        return None if self.taper_s is None else replace(self, taper_s=ratio * self.taper_s)
+
+    def variants(self, setting: Setting) -> tuple[BatteryCurrent, ...]:
+        """Other shares of the charging current that stay, to a twentieth."""
+        if self.trickle is None:
+            return ()
+        moves = [round(self.trickle + step, 2) for step in (0.2, -0.2, 0.1, -0.1, 0.05, -0.05)]
+        return tuple(replace(self, trickle=share) for share in moves if 0.0 <= share < 1.0)
 
     def condition_on(self, setting: Setting) -> str | None:
-        recorded = any(setting.column(name) is not None for name in ("battery_current_A", "array_current_A"))
-        return self.follows if recorded else "sunlit"
+        return "sunlit" if self._column(setting) is None else self.follows
 
     def values(self, setting: Setting) -> FloatArray:
-        return battery_current_A(setting, self.panel)
+        if self.panel != "tapered":
+            return battery_current_A(setting, self.panel)
+        recorded = self._column(setting)
+        if recorded is not None:
+            return recorded
+        taper_s, trickle = self.taper_s or 0.0, self.trickle or 0.0
+        if taper_s <= 0.0 or not 0.0 <= trickle <= 1.0:
+            given = f"taper_s {taper_s:g} and trickle {trickle:g} of a tapered current"
+            raise BadInput(given, where=self.name, wanted="taper_s above 0 s and trickle from 0 to 1")
+        return tapered_A(setting, taper_s, trickle)
 
     def stands_in(self, setting: Setting) -> str:
-        known = any(known_column(setting, name) is not None for name in ("battery_current_A", "array_current_A"))
-        words = (
+        if self._column(setting) is not None:
+            return ""
+        if self.panel == "tapered":
+            return "at sunrise on an assumed charging current that tapers, as that of the battery was not recorded"
+        return (
             f"in full sun on an assumed {_in_words(self.panel)}, and the opposite in shadow, as no current was recorded"
         )
-        return "" if known else words
+
+    def _column(self, setting: Setting) -> FloatArray | None:
+        """(N,) the recorded current of the battery, else that of the array, whose load hardly changes, unless tapered."""
+        own = known_column(setting, "battery_current_A")
+        return own if own is not None or self.panel == "tapered" else known_column(setting, "array_current_A")
 
     def untestable(self, setting: Setting) -> str | None:
         if varies(self.values(setting)):

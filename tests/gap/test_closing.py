@@ -158,6 +158,7 @@ def test_of_a_current_that_nobody_recorded_nothing_is_per_ampere(problem: Proble
     )
     sun, known = "in full sun on an assumed", "as no current was recorded"
     opposite = "and the opposite in shadow"
+    tapers = "at sunrise on an assumed charging current that tapers, as that of the battery was not recorded"
     for effect, setting, unit, assumed in [
         (SolarArrayCurrent(), problem.setting, "nT", f"{sun} panel on -z, {known}"),
         (SolarArrayCurrent("tracking"), problem.setting, "nT", f"{sun} array that turns about y, {known}"),
@@ -168,6 +169,8 @@ def test_of_a_current_that_nobody_recorded_nothing_is_per_ampere(problem: Proble
         (SolarArrayCurrent("balance"), charged, "nT/A", ""),
         (BatteryCurrent(), recorded, "nT/A", ""),
         (BatteryCurrent(), charged, "nT/A", ""),
+        (BatteryCurrent("tapered", 900.0, 0.1), recorded, "nT", tapers),
+        (BatteryCurrent("tapered", 900.0, 0.1), charged, "nT/A", ""),
     ]:
         found = found_effect(effect, sizes, sigma, setting, Support(1e-9, 0.9, (effect.name,)), "all")
         said = f"{effect.name} (s_x 181 {unit}, s_y -104 {unit}, s_z 102 {unit}{f' {assumed}' if assumed else ''})"

@@ -115,6 +115,18 @@ def test_a_panel_whose_current_was_not_recorded_is_array_or_battery(name):
     assert abs(in_full_sun - 2.0 * 250.0) < 4.0 * sigma < 0.5 * in_full_sun, "2 A in full sun"
 
 
+def test_a_battery_whose_charging_tapers_is_not_the_array():
+    """The battery is the simulation's own: a constant current, then an approach to full charge; neither current is in the
+    record. Its field in the sun is not that of an array."""
+    record = telemetry("nadir", f"{ARRAY}[effects.battery_current]\ns_nT_per_A = [250.0, -170.0, 120.0]")
+    charging = record.battery_current_A[record.battery_current_A > 0.0]
+    assert np.quantile(charging, 0.1) < 0.2 * np.quantile(charging, 0.9), "it tapers"
+    result = diagnosed(record.replace(array_current_A=None, battery_current_A=None))
+    assert [effect.group for effect in result.effects] == [("battery_current",)], result.sentence
+    assert result.effects[0].settings["panel"] == "tapered"
+    assert "at sunrise on an assumed charging current that tapers" in result.sentence
+
+
 @pytest.mark.parametrize("name", ["solar_array_current", "battery_current"])
 def test_a_tilted_panel_whose_current_was_not_recorded_is_found_by_the_way_the_field_follows_the_sun(name):
     normal = np.array([0.8, -0.35, 0.5]) / np.linalg.norm([0.8, -0.35, 0.5])

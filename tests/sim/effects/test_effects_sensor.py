@@ -209,8 +209,32 @@ def test_without_columns_geometry_stands_in(bare: Chain) -> None:
     charge = added(design(instrument=Magnetometer(np.zeros((3, 3)), np.zeros(3))), BatteryCurrent(), [1.0, 0, 0])[:, 0]
     np.testing.assert_allclose(charge, 2.0 * lit - 1.0, atol=1e-9)
     panels = [choice.panel for choice in SolarArrayCurrent().alternatives(setting)]
-    assert panels == [choice.panel for choice in BatteryCurrent().alternatives(setting)]
     assert panels == ["zenith", "tracking", "constant"]
+    assert [choice.panel for choice in BatteryCurrent().alternatives(setting)] == [*panels, "tapered", "tapered"]
+
+
+def test_a_charge_that_tapers_starts_at_sunrise_and_is_given_back_in_the_shadow(bare: Chain) -> None:
+    """Of a record that starts in the sun and lacks rows: each sunrise by the shadow itself, the charge by its sum."""
+    setting = bare.setting
+    taper_s, trickle = 700.0, 0.15
+    current = BatteryCurrent("tapered", taper_s, trickle).values(setting)
+    lit, seconds = setting.illumination, setting.seconds
+    rising = np.flatnonzero((lit[1:] == 1.0) & (lit[:-1] < 1.0)) + 1
+    assert rising.size and lit[0] == 1.0
+    step_s = float(np.diff(seconds).max())
+    for first in rising:
+        since_s = seconds[first:] - seconds[first]
+        daylight = since_s < 1500.0
+        expected = trickle + (1.0 - trickle) * np.exp(-since_s[daylight] / taper_s)
+        np.testing.assert_allclose(current[first:][daylight], expected, atol=1.5 * step_s / taper_s)
+    orbit = seconds < seconds[-1] // 5700.0 * 5700.0
+    assert abs(current[orbit].mean()) < 0.05 * np.abs(current).mean()
+
+
+@pytest.mark.parametrize(("taper_s", "trickle"), [(None, None), (0.0, 0.1), (900.0, 1.5)])
+def test_a_taper_without_its_numbers_is_refused(bare: Chain, taper_s: float | None, trickle: float | None) -> None:
+    with pytest.raises(BadInput, match="taper_s above 0 s and trickle from 0 to 1"):
+        BatteryCurrent("tapered", taper_s, trickle).values(bare.setting)
 
 
 def test_signs_are_the_contracts(close: Callable[..., None]) -> None:

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from fluxtwin.sim.attitude import smoothed_track as attitude_track
 from fluxtwin.sim.attitude.smoothed_track import AttitudeTrack
 from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
-from fluxtwin.sim.earth import epoch
+from fluxtwin.sim.earth import epoch, frames
 from fluxtwin.sim.earth.constants import EARTH_RADIUS_KM, GM_EARTH_KM3_S2, J2_EARTH
 
 _STEP_S = 60.0  # of the integration from a recorded position: 1e-4 km
@@ -72,16 +72,35 @@ class RecordedMotion:
             self._latest[key] = self._at(key)
         return self._latest[key]
 
+    def orbit(self, offset_s: float | FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Position and velocity (N, 3) as `at` has them, without the attitude, which takes most of the time."""
+        stretch = attitude_track.stretches(self.seconds)
+        place = attitude_track.places(self.seconds, stretch, self.seconds + offset_s)
+        r, v = carried(self.r_N_km[place.row], self.v_N_km_s[place.row], place.after_s)
+        blended = np.flatnonzero(place.weights)
+        if blended.size:
+            other = place.other[blended]
+            r_other, v_other = carried(self.r_N_km[other], self.v_N_km_s[other], place.other_after_s[blended])
+            weight = place.weights[blended, None]
+            r[blended] += weight * (r_other - r[blended])
+            v[blended] += weight * (v_other - v[blended])
+        return r, v
+
     def track(self, offset_s: float | FloatArray) -> Rotation:
         """R_BN along the smoothed track, `offset_s` (one number, or (N,)) after each stamp."""
+        return self._track_of(np.ones(self.time.size, dtype=np.bool_), offset_s)
+
+    def _track_of(self, rows: BoolArray, offset_s: float | FloatArray) -> Rotation:
+        """The same of some rows (N,) alone."""
         moments = self.seconds + offset_s
-        track = self.smoothed.at(moments)
         if self._beyond is None:
-            return track
-        rows, own = self._beyond
-        quaternions = track.as_quat()
-        quaternions[rows] = own.at(moments[rows]).as_quat()
-        return Rotation.from_quat(quaternions)
+            return self.smoothed.at(moments[rows])
+        beyond, own = self._beyond
+        quaternions = np.empty((self.time.size, 4))
+        for part, track in ((rows & ~beyond, self.smoothed), (rows & beyond, own)):
+            if part.any():
+                quaternions[part] = track.at(moments[part]).as_quat()
+        return Rotation.from_quat(quaternions[rows])
 
     def with_errors(self, errors_rad: Callable[[TimeArray], FloatArray]) -> RecordedMotion:
         """The same motion with one more error in each known attitude: rotation vectors (M, 3), body axes, at stamps (M,)."""
@@ -169,36 +188,24 @@ class RecordedMotion:
         return {}
 
     def _at(self, offset_s: float | FloatArray) -> tuple[FloatArray, FloatArray, Rotation]:
-        stretch = attitude_track.stretches(self.seconds)
-        place = attitude_track.places(self.seconds, stretch, self.seconds + offset_s)
-        r, v = carried(self.r_N_km[place.row], self.v_N_km_s[place.row], place.after_s)
-        blended = np.flatnonzero(place.weights)
-        if blended.size:
-            other = place.other[blended]
-            r_other, v_other = carried(self.r_N_km[other], self.v_N_km_s[other], place.other_after_s[blended])
-            weight = place.weights[blended, None]
-            r[blended] += weight * (r_other - r[blended])
-            v[blended] += weight * (v_other - v[blended])
-        return r, v, self._turned_on(offset_s) * self.R_BN
+        return *self.orbit(offset_s), frames.product(self._turned_on(offset_s), self.R_BN)
 
     def _turned_on(self, offset_s: float | FloatArray) -> Rotation:
-        """From the attitude at each stamp to that `offset_s` after it; by the gyro alone where no attitude is known."""
-        turn = self._by_own_fits(offset_s)
-        if self.attitude_known is None or self.gyro_B_rad_s is None:
-            return turn
-        instead = ~self.attitude_known & np.isfinite(self.gyro_B_rad_s).all(axis=1)
-        by_gyro = -np.broadcast_to(offset_s, instead.shape)[:, None] * self.gyro_B_rad_s
-        return Rotation.from_rotvec(np.where(instead[:, None], by_gyro, turn.as_rotvec()))
-
-    def _by_own_fits(self, offset_s: float | FloatArray) -> Rotation:
-        """As `_turned_on`; rows without attitude by the track."""
+        """From the attitude at each stamp to that `offset_s` after it; where no attitude is known by the gyro alone, or
+        without one along the track."""
         known = self.attitude_known
         if known is None or known.all():
             return self.smoothed.onward(offset_s, self._stamps)
-        turns = (self.track(offset_s) * self._from_track).as_quat()
+        turns, after_s = np.empty((known.size, 4)), np.broadcast_to(offset_s, known.shape)
+        by_gyro = np.zeros_like(known)
+        if self.gyro_B_rad_s is not None:
+            by_gyro = ~known & np.isfinite(self.gyro_B_rad_s).all(axis=1)
+            turns[by_gyro] = Rotation.from_rotvec(-after_s[by_gyro, None] * self.gyro_B_rad_s[by_gyro]).as_quat()
         if known.any():
-            after_s = np.broadcast_to(offset_s, known.shape)[known]
-            turns[known] = self.smoothed.onward(after_s, self._stamps).as_quat()
+            turns[known] = self.smoothed.onward(after_s[known], self._stamps).as_quat()
+        by_track = ~known & ~by_gyro
+        if by_track.any():
+            turns[by_track] = frames.product(self._track_of(by_track, offset_s), self._from_track[by_track]).as_quat()
         return Rotation.from_quat(turns)
 
 

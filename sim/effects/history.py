@@ -13,6 +13,7 @@ import numpy as np
 from fluxtwin.sim.attitude.smoothed_track import RowArray
 from fluxtwin.sim.base.late import restarts
 from fluxtwin.sim.base.types import BoolArray, FloatArray
+from fluxtwin.sim.earth import frames
 from fluxtwin.sim.effects.signal import Signal
 
 _TURN_RAD = 0.3  # between two moments: cubics through values and slopes follow it to 2e-5 of the field
@@ -109,12 +110,13 @@ def _field_history(signal: Signal) -> FieldHistory:
     if parts == 1:
         stamps = np.arange(signal.rows, dtype=np.intp)
         return FieldHistory(setting.seconds, field, slope, again, stamps, rate, changing)
-    turned = track * setting.track(signal.sample_offset_s).inv()  # by effects on the attitude of the row
+    turned = frames.product(track, setting.track(signal.sample_offset_s).inv())  # by effects on the attitude of the row
     moments = []
     for number, (moment_s, there, turning) in enumerate(setting.within_steps(signal.sample_offset_s, step, parts), 1):
         field_N, slope_N = _cubic(signal.ambient_N_nT, along, step, number / parts)
-        between = (turned * there).apply(field_N)
-        slope_B = (turned * there).apply(slope_N) - np.cross(turning, between)
+        R_BN = frames.product(turned, there)
+        between = R_BN.apply(field_N)
+        slope_B = R_BN.apply(slope_N) - np.cross(turning, between)
         moments.append((setting.seconds + moment_s - signal.sample_offset_s, between, slope_B))
     seconds = np.stack([*(one[0] for one in moments), setting.seconds], axis=1)
     known = np.ones(seconds.shape, dtype=np.bool_)

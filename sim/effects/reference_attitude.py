@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from fluxtwin.sim.base.types import BoolArray, FloatArray
-from fluxtwin.sim.earth import sun
+from fluxtwin.sim.earth import frames, sun
 from fluxtwin.sim.effects.base import Effect, Parameter, SignalEffect, vector_parameters
 from fluxtwin.sim.effects.calibration import TurningStep
 from fluxtwin.sim.effects.drivers import lit
@@ -210,7 +210,7 @@ class AttitudeLag(SignalEffect):
         motion, lag_s, simulated = signal.setting.motion, float(theta[0]), signal.setting.direction == "simulate"
         # The reported one is that of the true motion earlier, the true one that of the reported motion later.
         then, now = (motion.at(offset_s)[2] for offset_s in (-lag_s if simulated else lag_s, 0.0))
-        turn = (then * now.inv()).as_rotvec()
+        turn = frames.product(then, now.inv()).as_rotvec()
         return signal.attitude_reported_turned(turn if simulated else -turn)
 
 

@@ -123,7 +123,7 @@ class Setting:
                 del self._rates[next(iter(self._rates))]
             after, before = (
                 field_N_nT(
-                    self.model, epoch.add_seconds(self.time[0], self.seconds + moment), self.motion.at(moment)[0]
+                    self.model, epoch.add_seconds(self.time[0], self.seconds + moment), self._position_N_km(moment)
                 )
                 for moment in (offset_s + 1.0, offset_s - 1.0)
             )
@@ -133,6 +133,11 @@ class Setting:
     @cached_property
     def _rates(self) -> dict[bytes, tuple[FloatArray, FloatArray]]:
         return {}
+
+    def _position_N_km(self, offset_s: float | FloatArray) -> FloatArray:
+        """(N, 3) `offset_s` (or (N,)) after the stamps."""
+        motion = self.motion
+        return motion.orbit(offset_s)[0] if isinstance(motion, RecordedMotion) else motion.at(offset_s)[0]
 
     def track(self, offset_s: float | FloatArray) -> Rotation:
         """R_BN `offset_s` (or (N,)) after the stamps, without the error that a row's own recorded attitude has."""
@@ -291,7 +296,7 @@ class Signal:
         """Attitude at the moment of sampling along the track: what looks back along the rows must use this one, or
         it would see the attitude errors of the rows before as motion."""
         own = self.setting.own_turn_N
-        return self.R_BN if own is None else self.R_BN * own.inv()
+        return self.R_BN if own is None else frames.product(self.R_BN, own.inv())
 
     def with_own_turn(self, vector_B: FloatArray) -> FloatArray:
         """(N, 3) vectors in the track's body axes, turned into those of each row's own attitude."""

@@ -403,6 +403,26 @@ def test_rows_of_unknown_attitude_say_nothing() -> None:
     assert not record.reaches(beyond + 0.1)[known].any()
 
 
+def test_only_rows_without_attitude_are_followed_along_the_track(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The others have a fit of their own, and positions need no attitude at all."""
+    t = uneven(20.0)
+    known = np.random.default_rng(8).random(t.size) > 0.3
+    record = recorded(t, LAWS["tumble"](t), known=known)
+    expected = (record.track(6.0) * record.track(0.0).inv() * record.R_BN)[~known]
+    record.at(1.0)  # what is worked out once
+    asked: list[int] = []
+    at = smoothed_track.AttitudeTrack.at
+    monkeypatch.setattr(
+        smoothed_track.AttitudeTrack, "at", lambda track, moments: asked.append(moments.size) or at(track, moments)
+    )
+    r, v = record.orbit(6.0)
+    assert not asked
+    r_at, v_at, R_BN = record.at(6.0)
+    assert sum(asked) == (~known).sum()
+    assert (R_BN[~known] * expected.inv()).magnitude().max() < 1e-12
+    assert np.array_equal(r, r_at) and np.array_equal(v, v_at)
+
+
 def test_positions_between_the_stamps(close: Callable[..., None]) -> None:
     t = np.arange(0.0, 6000.0, 60.0)
     record = recorded(t, Rotation.identity(t.size))

@@ -167,6 +167,11 @@ class SignalEffect(Effect):
     def apply(self, signal: Signal, theta: FloatArray) -> Signal:
         """The signal with the effect in it; theta = 0 is identity."""
 
+    def images(self, signal: Signal) -> FloatArray | None:
+        """(N, 3, p) what one unit of each parameter adds to the reading of a signal, where that is all the effect does;
+        None: only differences tell."""
+        return None
+
 
 @dataclass(frozen=True)
 class SpacecraftField(SignalEffect):

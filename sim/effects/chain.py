@@ -122,14 +122,19 @@ def jacobian(
 ) -> FloatArray:
     """(N, 3, p) derivative of the noise-free reading by the effect's parameters, in units per parameter unit.
 
-    Central differences of the whole chain with the default scale as step; one-sided where the range ends at zero.
-    at: other effects that are on; theta: where to differentiate (default zero: absent).
+    Central differences of the whole chain with the default scale as step; one-sided where the range ends at zero. Of the
+    last effect in the chain that only adds its images they are these images. at: other effects that are on; theta: where to
+    differentiate (default zero: absent).
     """
+    theta = np.zeros(len(effect.parameters)) if theta is None else theta
+    acting = [pair for pair in at if isinstance(pair[0], SignalEffect) and _on(pair[1])]
+    if in_order([*acting, (effect, theta)])[-1][1] is theta and (images := effect.images(chain.signal(at))) is not None:
+        return images
 
     def between(up: FloatArray, down: FloatArray) -> FloatArray:
         return chain.reading_nT([*at, (effect, up)]) - chain.reading_nT([*at, (effect, down)])
 
-    return derivative(effect, np.zeros(len(effect.parameters)) if theta is None else theta, between)
+    return derivative(effect, theta, between)
 
 
 def derivative(

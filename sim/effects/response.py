@@ -55,6 +55,10 @@ class Nonlinearity(SignalEffect):
         terms = signal.products(self.degree, products)
         return signal.with_reading(signal.reading + mapped(theta.reshape(3, -1), terms))
 
+    def images(self, signal: Signal) -> FloatArray:
+        terms = signal.products(self.degree, products)
+        return np.einsum("nm,ac->nacm", terms, np.eye(3)).reshape(signal.rows, 3, -1)
+
 
 def nonlinear_parameters(prefix: str, degree: int) -> tuple[Parameter, ...]:
     """One an axis and product: prefix_x_xx, prefix_x_xy, ..."""

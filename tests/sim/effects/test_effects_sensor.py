@@ -13,12 +13,13 @@ from fluxtwin.sim.attitude.recorded_motion import RecordedMotion
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import epoch, frames
+from fluxtwin.sim.earth.field import field_N_nT
 from fluxtwin.sim.earth.field_models import load_field
 from fluxtwin.sim.earth.orbit import Orbit
 from fluxtwin.sim.effects.base import DistributionEffect, SignalEffect
 from fluxtwin.sim.effects.calibration import BiasRandomWalk, BiasStep
 from fluxtwin.sim.effects.catalogue import CATALOGUE, find_effect
-from fluxtwin.sim.effects.chain import Chain, jacobian
+from fluxtwin.sim.effects.chain import Chain, derivative, jacobian
 from fluxtwin.sim.effects.digits import BitErrors, CoarseQuantization, ExcessNoise
 from fluxtwin.sim.effects.region import depth_deg, outline_deg
 from fluxtwin.sim.effects.response import Saturation
@@ -162,6 +163,36 @@ def test_linear_effects_have_one_jacobian(name: str, full: Chain, close: Callabl
         unit="nT",
         because="the effect is linear in its parameters",
     )
+
+
+def test_the_rate_of_the_field_along_the_orbit_needs_no_attitude(full: Chain, monkeypatch: pytest.MonkeyPatch) -> None:
+    setting = full.setting
+    fields = [
+        field_N_nT(setting.model, epoch.add_seconds(START, setting.seconds + s), setting.motion.at(s)[0])
+        for s in (1.25, -0.75)
+    ]
+    monkeypatch.setattr(RecordedMotion, "at", None)
+    assert np.array_equal(setting.rates(0.25)[1], (fields[0] - fields[1]) / 2.0)
+
+
+@pytest.mark.parametrize("name", ["quadratic_nonlinearity", "cubic_nonlinearity"])
+def test_what_acts_last_and_only_adds_is_not_differenced(
+    name: str, full: Chain, close: Callable[..., None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    effect, hysteresis, lag = (find_effect(one) for one in (name, "hysteresis", "sensor_lag"))
+    assert isinstance(effect, SignalEffect)
+    theta, before = np.linspace(-90.0, 90.0, len(effect.parameters)), (hysteresis, np.array([40.0, -20.0, 60.0]))
+
+    def between(up: FloatArray, down: FloatArray) -> FloatArray:
+        return full.reading_nT([before, (effect, up)]) - full.reading_nT([before, (effect, down)])
+
+    expected, asked, reading = derivative(effect, theta, between), [], Chain.reading_nT
+    monkeypatch.setattr(Chain, "reading_nT", lambda chain, active: asked.append(active) or reading(chain, active))
+    close(jacobian(full, effect, [before], theta), expected, atol=1e-8, unit="1", because="rounding over 50 nT")
+    assert not asked
+    late = jacobian(full, effect, [before, (lag, np.array([20.0]))], theta)
+    assert len(asked) == 2 * len(theta)
+    assert np.abs(late - expected).max() > 1e-3  # the lag smooths what is added too
 
 
 def test_untestable_effects_say_why(bare: Chain) -> None:

@@ -57,7 +57,7 @@ class Nonlinearity(SignalEffect):
 
     def images(self, signal: Signal) -> FloatArray:
         terms = signal.products(self.degree, products)
-        return np.einsum("nm,ac->nacm", terms, np.eye(3)).reshape(signal.rows, 3, -1)
+        return np.asarray(np.einsum("nm,ac->nacm", terms, np.eye(3)).reshape(signal.rows, 3, -1))
 
 
 def nonlinear_parameters(prefix: str, degree: int) -> tuple[Parameter, ...]:

@@ -203,7 +203,10 @@ def _conclude(work: Work) -> _Conclusion:
     already = [one for one in work.flexible if expected(one, problem.frozen)]
     named = work.in_readings
     whole = work.known >= 0.5 and bool(named) == bool(answer.result.named)
-    new = [one for one in work.flexible if one not in already and (whole or one.is_noise)]
+    # The codes show a step or a bit whatever was fitted; the level of the noise is that beside names that have to stand.
+    beside = whole or not answer.result.named
+    noise = [one for one in work.flexible if one.is_noise and (beside or one.name != "excess_noise")]
+    new = [one for one in work.flexible if one not in already and (whole or one in noise)]
     shapes = [_of_shape(one, problem.setting, work.known) for one in new]
     signals = sorted([*named, *momentum.standing], key=lambda one: one.significance) if momentum.standing else named
     effects, fault = [*signals, *shapes], None

@@ -266,13 +266,14 @@ def test_the_noise_that_names_take_is_that_beside_all_of_them(monkeypatch: pytes
     [
         (0.9, [], ["excess_noise", "bias_random_walk"]),
         (0.1, [], ["excess_noise"]),
-        (0.9, ["bias_step"], ["excess_noise"]),
+        (0.9, ["bias_step"], []),
     ],
 )
 def test_a_walk_is_not_named_beside_something_unknown(
     monkeypatch: pytest.MonkeyPatch, known: float, resembled: list[str], named: list[str]
 ) -> None:
-    """It would describe the same. Noise that is new in every row is beside it. resembled: names that do not stand."""
+    """It would describe the same. Noise that is new in every row is beside it, unless its level is that beside names that do
+    not stand (resembled)."""
     one = np.ones(1)
     found = [Finding(effect, one, 0.1 * one, worth=100.0) for effect in (ExcessNoise(), BiasRandomWalk())]
     setting = SimpleNamespace(flags={}, columns={}, time=np.zeros(1), seconds=np.zeros(1))

@@ -16,7 +16,7 @@ from fluxtwin.gap.linear.projection import ProjectedResidual, projected
 from fluxtwin.gap.noise.choice import NOISE_LOG_SD, NoiseModel, Whitener, complete_budget
 from fluxtwin.gap.noise.robust_rows import CUT_SIGMA, RobustRows
 from fluxtwin.gap.problem.problem import Budget, Problem
-from fluxtwin.gap.selection.criterion import FEWEST, THRESHOLD, worth
+from fluxtwin.gap.selection.criterion import FEWEST, SHAPE_DIRECTIONS, THRESHOLD, worth
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.effects.chain import Active
 from fluxtwin.sim.effects.digits import BitErrors, CoarseQuantization, ExcessNoise
@@ -227,14 +227,15 @@ def noise_level(
     declared_nT: float,
     shape_nT: float | None,
     measured: BoolArray | None = None,
+    predicted_nT: FloatArray | None = None,
 ) -> Finding | None:
     """Is the white noise above its budget, and is it noise?
 
     fitted_nT: the level that the whitening used, one number or (3,); declared_nT: noise and rounding of the budget
     together (with the true step where that is coarser). shape_nT: what named causes may leave because nature's form is not
     theirs; None where something unknown is left. Confirmed beyond both where nothing unknown is left and the values are
-    Gaussian. measured (N, 3): components that there are, where rows have no attitude; if these are few, the others tell,
-    else no single axis is named.
+    Gaussian and independent of the prediction. measured (N, 3): components that there are, where rows have no attitude; if
+    these are few, the others tell, else no single axis is named. predicted_nT (N, 3): None if that is not tested.
     """
     there = np.ones((left.residual.size // 3, 3), dtype=np.bool_) if measured is None else measured
     whole = np.asarray(there.all(axis=1), dtype=np.bool_)
@@ -254,17 +255,45 @@ def noise_level(
         return None
     rms = float(np.sqrt(level_nT**2 - declared_nT**2))
     sigma = float(np.hypot(NOISE_LOG_SD * declared_nT**2, level_nT**2 * np.sqrt(0.5 / degrees)) / rms)
-    values = (series / np.sqrt(np.where(share > 0, axis_energy, 1.0)))[
-        there[rows] & np.any(series != 0, axis=1)[:, None]
-    ]
+    unit = series / np.sqrt(np.where(share > 0, axis_energy, 1.0))
+    given = np.any(series != 0, axis=1)
     faults = ["structure remains"] if shape_nT is None else []
-    if not gaussian(values):
+    if not gaussian(unit[there[rows] & given[:, None]]):
         faults.append("it is not Gaussian")
+    if predicted_nT is not None and repeats_with(predicted_nT[rows][given], unit[given], (shape_nT or 0.0) / level_nT):
+        faults.append("it repeats with the reading")
     effect = ExcessNoise(("x", "y", "z")[int(np.argmax(noisy))]) if alone else ExcessNoise()
     where = f" on axis {effect.axis}" if alone else ""
     what = f"white noise is {level_nT:.4g} nT{where}, where {declared_nT:.4g} nT were expected"
     chance = float((3 if alone else 1) * stats.norm.sf(beyond))
     return Finding(effect, np.array([rms]), np.array([sigma]), value, what, tuple(faults), chance=chance)
+
+
+def repeats_with(predicted_nT: FloatArray, unit: FloatArray, shape: float) -> bool:
+    """Whether unit noise (N, 3) is periodic in the predicted reading (N, 3) of an axis, as errors of a converter's code are.
+
+    In the order of time such an error looks white. Noise is white in the order of the predictions too, of which it is
+    independent (the readings have it in them); so the strongest of the periods that N values have is weighed as a line in
+    time is. shape: rms of the shape error that named causes may leave, in units of the noise.
+    """
+    worths = [0.0]
+    for axis in range(3):
+        known = np.isfinite(predicted_nT[:, axis])
+        values, series = predicted_nT[known, axis], unit[known]
+        if len(values) < FEWEST or not np.ptp(values) > 0:
+            continue
+        count = len(values) // 2
+        place = (values - values.min()) / np.ptp(values)
+        cells = 8 * len(values)  # the phase error at the shortest period is 0.2 rad at most
+        grid = np.zeros((cells, 3))
+        np.add.at(grid, np.rint(place * cells).astype(int) % cells, series)
+        power = np.sum(np.abs(np.fft.rfft(grid, axis=0)[1 : count + 1]) ** 2, axis=1)
+        phase = 2.0 * np.pi * (1 + int(np.argmax(power))) * place
+        q = np.linalg.qr(np.stack([np.ones(len(phase)), np.cos(phase), np.sin(phase)], axis=1))[0]
+        wider = 1.0 + shape**2 * series.size / SHAPE_DIRECTIONS
+        drop = float(np.sum((q[:, 1:].T @ series) ** 2)) / wider
+        worths.append(worth(drop, 6, float(len(values)), float(np.log(3 * count))))
+    return max(worths) > THRESHOLD
 
 
 def with_frozen_noise(
@@ -358,5 +387,7 @@ def in_the_readings(
     if noise.sigma_prior_nT > 0 and not walks and not (stuck is not None and stuck.confirmed):
         rest = projected(whitener, residual_nT, fitted_nT)
         measured = None if problem.axes is None else problem.measured
-        findings.append(noise_level(rest, noise.white_nT, noise.sigma_prior_nT, shape_nT, measured))
+        findings.append(
+            noise_level(rest, noise.white_nT, noise.sigma_prior_nT, shape_nT, measured, reading - residual_nT)
+        )
     return tuple(finding for finding in findings if finding is not None)

@@ -13,7 +13,7 @@ from worlds import scenario_text
 
 from fluxtwin.gap.detectors import lines, thermostat
 from fluxtwin.gap.detectors import switched_region as regions
-from fluxtwin.gap.detectors.codes import coarse_steps, flipped_bits, hidden_flips, noise_level, stuck_bit
+from fluxtwin.gap.detectors.codes import coarse_steps, flipped_bits, hidden_flips, noise_level, repeats_with, stuck_bit
 from fluxtwin.gap.detectors.finding import Finding
 from fluxtwin.gap.detectors.lines import companion, strongest_line, wheel_line
 from fluxtwin.gap.detectors.random_walk import modes_of_a_walk, random_walk
@@ -523,3 +523,29 @@ def test_the_axis_that_is_too_noisy_is_named_by_the_rows_with_attitude(bench: Be
     assert isinstance(found.effect, ExcessNoise)
     assert found.effect.axis == "z"
     assert found.theta[0] == pytest.approx(SIGMA_NT * np.sqrt(8.0), abs=4.0 * found.sigma[0])
+
+
+def test_noise_that_repeats_with_the_reading_is_no_noise(bench: Bench) -> None:
+    """A triangle in the reading of one axis looks white and Gaussian in the order of time."""
+    rows, rng = bench.problem.rows, np.random.default_rng(71)
+    predicted_nT = bench.problem.field_B_nT
+    noise = 1.6 * rng.standard_normal((rows, 3))
+    left = ProjectedResidual(bench.whitener, noise.ravel(), np.zeros((3 * rows, 0)), 3 * rows)
+    found = noise_level(left, SIGMA_NT, SIGMA_NT, 0.0, None, predicted_nT)
+    assert found is not None and found.confirmed
+    wave = 2.0 * (2.0 * np.abs(predicted_nT[:, 0] / 7000.0 % 1.0 - 0.5) - 0.5)
+    periodic = rng.standard_normal((rows, 3)) + np.outer(wave, [1.8, -1.8, 1.8])
+    left = ProjectedResidual(bench.whitener, periodic.ravel(), np.zeros((3 * rows, 0)), 3 * rows)
+    found = noise_level(left, SIGMA_NT, SIGMA_NT, 0.0, None, predicted_nT)
+    assert found is not None and found.faults == ("it repeats with the reading",)
+    # What named causes leave because of their shape may be as large in one period.
+    assert not repeats_with(predicted_nT, periodic / periodic.std(axis=0), 1.0)
+
+
+def test_noise_is_independent_of_the_reading_as_often_as_noise_has_to_be() -> None:
+    rng = np.random.default_rng(72)
+    wrong = 0
+    for _ in range(300):
+        predicted_nT = 2e4 * np.sin(rng.uniform(0.0, 50.0, (200, 3)))
+        wrong += repeats_with(predicted_nT, rng.standard_normal((200, 3)), 0.0)
+    assert wrong <= 3

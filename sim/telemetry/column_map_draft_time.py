@@ -34,6 +34,24 @@ _COUNTS = (
     ("j2000_s", r"j2000|j2k|(^|_)et(_|$)|tdb", 1.0e8, 3.0e9, "{} looks like seconds since 2000-01-01 12:00 TT"),
 )
 """Recipes that a name states: what is in it, the smallest and largest median, what is doubtful."""
+_DAYS = (
+    ("jd", 2.4425e6, 2.49e6, "of the Julian date"),
+    ("datenum", 7.2145e5, 7.67e5, "of MATLAB's datenum"),
+    ("mjd", 51544.0, 9.0e4, "of the modified Julian date"),
+    ("excel", 27760.0, 51544.0, "of a spreadsheet, from 1899-12-30"),
+)
+"""Counts of days by their size: the first and last of 1976 to about 2100. The last two share numbers: 51,544 is the year
+2000 as the one and 2041 as the other, and that is where one is taken for the other."""
+_CALENDAR = {
+    "%Y": r"y(ea)?r|y{4}|jahr",
+    "%m": r"mon(th)?|mo|monat",
+    "%d": r"d(ay)?|dd|dom|tag",
+    "%j": r"doy|day_?of_?y(ea)?r|yday|jday",
+    "%H": r"h(ou)?rs?|hh?|stunde",
+    "%M": r"min(ute)?s?|mi|mm",
+    "%S": r"s(ec(ond)?s?)?|ss",
+}
+"""Names of columns that hold one part of a date and time each."""
 _DATES = (
     "%Y-%m-%d",
     "%Y/%m/%d",
@@ -43,12 +61,14 @@ _DATES = (
     "%Y%m%d",
     "%Y-%j",
     "%Y/%j",
+    "%Y:%j",
     "%d-%b-%Y",
     "%d %b %Y",
 )
 _TIMES = ("%H:%M:%S.%f", "%H:%M:%S", "%I:%M:%S %p", "%I:%M:%S.%f %p")  # the last two: of a 12-hour clock
 _ENDS = ("", "Z", " %z", "%z")
-_BETWEEN = (" ", "T", "-", "_")
+_BETWEEN = (" ", "T", "-", "_", ":", "/")
+_FASTEST_S = 0.01  # between readings; as days it would be a quarter of an hour
 _FEW = 0.01  # steps back, of all: a packet that was sent twice, not a number that swings
 
 
@@ -63,12 +83,12 @@ def recipe(header: Header) -> _Found:
     for name in sorted(header.iso, key=lambda one: not _LIKELY.search(one)):
         ground = f"that {name} is the spacecraft's own stamp, not that of the ground" if _GROUND.search(name) else ""
         return _recipe("iso", [name], ground)
-    written = text_format(header.texts)
+    written = text_format(header.texts) or _parts(header.texts)
     if written is not None:
         names, form, doubt = written
         return _recipe("text", names, doubt, format=form)
     numbers = {name: value for name, value in header.values.items() if value.ndim == 1 and np.isfinite(value).any()}
-    found = _weeks(numbers) or _stated(numbers) or _unix(numbers) or _counted(numbers)
+    found = _weeks(numbers) or _stated(numbers) or _unix(numbers) or _days(numbers) or _counted(numbers)
     if found is None:
         raise BadInput(
             f"no column looks like time; the columns are: {', '.join(header.names[:12])}",
@@ -119,13 +139,28 @@ def _unix(numbers: Mapping[str, FloatArray]) -> _Found | None:
     return None
 
 
+def _days(numbers: Mapping[str, FloatArray]) -> _Found | None:
+    """Days by their size, where seconds of that size would follow each other faster than a magnetometer is read."""
+    for name, value in numbers.items():
+        step = np.diff(value[np.isfinite(value)])
+        if not (_LIKELY.search(name) and step.size and _runs(value) and np.median(step) < _FASTEST_S):
+            continue
+        for how, first, last, of in _DAYS:
+            if first <= float(np.nanmedian(value)) < last:
+                return _recipe(how, [name], f"{name} looks like days {of}; that they are UTC is a guess")
+    return None
+
+
 def _counted(numbers: Mapping[str, FloatArray]) -> _Found | None:
     """Seconds since an epoch that is not known."""
     name = next((name for name, value in numbers.items() if _LIKELY.search(name) and _runs(value)), None)
     if name is None:
         return None
     scale = next((one for one in ("TAI", "GPS", "TT") if re.search(rf"(?i)(^|_| ){one}", name)), None)
-    more = {"scale": scale} if scale else {}
+    more: dict[str, object] = {"scale": scale} if scale else {}
+    part = re.search(r"(?i)[^a-z](ms(?:ec)?|us(?:ec)?|ns(?:ec)?|milli|micro|nano)", name)
+    if part is not None:
+        more["unit_s"] = [{"m": 1e-3, "u": 1e-6, "n": 1e-9}["u" if part[1].lower() == "micro" else part[1][0].lower()]]
     origin = "2000-01-01T12:00:00Z" if "2000" in name else "YYYY-MM-DDThh:mm:ssZ"
     doubt = f"the epoch from which {name} counts seconds is not known"
     return _recipe("seconds_since", [name], doubt, epoch=origin, **more)
@@ -152,12 +187,29 @@ def text_format(texts: Mapping[str, Sequence[str]]) -> tuple[list[str], str, str
         forms = ["".join(p) for p in itertools.product(_DATES, _BETWEEN, _TIMES, _ENDS)]
         found = [form for form in forms if _fits(cells, form)]
         if found:
+            found.sort(key=lambda form: "%p" in form and not form.startswith("%m"))  # both are usual in America only
             return [name], found[0], _doubt(found)
     for one, other in itertools.permutations(texts, 2):
         dates = [form for form in _DATES if _fits(texts[one], form)]
         times = [f"{form}{end}" for form in _TIMES for end in _ENDS if _fits(texts[other], f"{form}{end}")]
         if dates and times:
             return [one, other], f"{dates[0]} {times[0]}", _doubt(dates)
+    return None
+
+
+def _parts(texts: Mapping[str, Sequence[str]]) -> tuple[list[str], str, str] | None:
+    """The columns that hold one part of the stamps each, and as `text_format`."""
+    at = {
+        part: next((n for n in texts if re.fullmatch(form, n, re.IGNORECASE)), None) for part, form in _CALENDAR.items()
+    }
+    for parts in (("%Y", "%m", "%d", "%H", "%M", "%S"), ("%Y", "%j", "%H", "%M", "%S")):
+        names = [name for part in parts if (name := at[part]) is not None]
+        if len(names) < len(parts):
+            continue
+        cells = [" ".join(row) for row in zip(*(texts[name] for name in names), strict=False)]
+        for form in (" ".join(parts), f"{' '.join(parts)}.%f"):
+            if _fits(cells, form):
+                return names, form, _doubt([form])
     return None
 
 

@@ -179,10 +179,12 @@ COUNTED: dict[str, Counted] = {
     "mjd": Counted((_DAY,), _MJD, "UTC"),
     "mjd2000": Counted((_DAY,), epoch.MJD2000, "UTC"),
     "jd": Counted((_DAY,), _MJD - np.timedelta64(12, "h"), "UTC"),
+    "excel": Counted((_DAY,), np.datetime64("1899-12-30", "ns"), "UTC"),
+    "datenum": Counted((_DAY,), _UNIX, "UTC"),
     "seconds_since": Counted((1.0,), None, "UTC"),
 }
-_JD_OF_ORIGIN = 2_400_000.0
-"""Day that `jd` is counted from: the origin above, 1858-11-16T12:00."""
+_DAY_OF_ORIGIN = {"jd": 2_400_000.0, "datenum": 719_529.0}
+"""Days of counts that begin before the stamps do, at their origin above: 1858-11-16T12:00 and 1970-01-01."""
 NAMES = (*TEXT, *COUNTED)
 _SPACE_AGE, _LATEST = np.datetime64("1957-10-04", "ns"), np.datetime64(f"{_LAST_YEAR}-01-01", "ns")
 
@@ -190,7 +192,7 @@ _SPACE_AGE, _LATEST = np.datetime64("1957-10-04", "ns"), np.datetime64(f"{_LAST_
 def stamps_of_counts(raw: FloatArray, recipe: TimeRecipe) -> TimeArray:
     """UTC stamps (N,) of the counts (N, k), the columns of `recipe`; NaN and what is far beyond any mission become NaT."""
     how = COUNTED[recipe.recipe]
-    parts = raw - _JD_OF_ORIGIN if recipe.recipe == "jd" else raw
+    parts = raw - _DAY_OF_ORIGIN.get(recipe.recipe, 0.0)
     scale, units_s = recipe.scale or how.scale, tuple(recipe.unit_s or how.units_s)
     if how.origin is not None:
         return epoch.utc_of(_added(how.origin, parts, units_s), scale)

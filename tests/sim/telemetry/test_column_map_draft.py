@@ -427,6 +427,10 @@ def test_a_bare_time_column_is_answered_with_an_example(tmp_path: Path, time: st
         ("stamp,n", ["01/02/2026 01:02:03,1", "01/02/2026 01:02:04,2"], "could be %m/%d/%Y"),
         ("time,n", ["03/13/2026 12:59:59 PM,1", "03/13/2026 01:00:00 PM,2"], 'format = "%m/%d/%Y %I:%M:%S %p"'),
         ("day,utc", ["2026-060,01:02:03", "2026-060,01:02:04"], 'format = "%Y-%j %H:%M:%S"'),
+        ("time,n", ["03/01/2026 12:59:59 PM,1", "03/01/2026 01:00:00 PM,2"], 'format = "%m/%d/%Y %I:%M:%S %p"'),
+        ("time,n", ["2026:060:01:02:03,1", "2026:060:01:02:04,2"], 'format = "%Y:%j:%H:%M:%S"'),
+        ("year,month,day,hour,minute,second", ["2026,3,1,1,2,3", "2026,3,1,1,2,4"], 'format = "%Y %m %d %H %M %S"'),
+        ("year,doy,hh,mm,ss", ["2026,60,1,2,3.5", "2026,60,1,2,4.5"], 'format = "%Y %j %H %M %S.%f"'),
         ("gps_time,n", ["1456358418.5,1", "1456358419.5,2"], 'recipe = "gps_s"'),
     ],
 )
@@ -438,6 +442,27 @@ def test_stamps_of_other_forms_are_guessed_and_read(tmp_path: Path, head: str, c
     (tmp_path / "m.toml").write_text(text, encoding="utf-8")
     found = read_telemetry(tmp_path / "a.csv", column_map=tmp_path / "m.toml")
     assert (found.time[1] - found.time[0]) == np.timedelta64(1, "s") and str(found.time[0])[:4] == "2026"
+
+
+@pytest.mark.parametrize(
+    ("recipe", "noon"), [("excel", 46082.5), ("mjd", 61100.5), ("jd", 2461101.0), ("datenum", 740042.5)]
+)
+def test_days_are_known_by_their_size(tmp_path: Path, recipe: str, noon: float) -> None:
+    """Noon of 2026-03-01 by the day counts of a spreadsheet, of astronomers and of MATLAB; as seconds it would be 1970."""
+    days = noon + np.arange(9) / 8640.0
+    table(tmp_path / "a.csv", {"time": days, **triple("mag_x mag_y mag_z", np.full((9, 3), 2e4))})
+    text = draft([tmp_path / "a.csv"])
+    assert f'recipe = "{recipe}"' in text and "that they are UTC is a guess" in text
+    (tmp_path / "m.toml").write_text(text, encoding="utf-8")
+    found = read_telemetry(tmp_path / "a.csv", column_map=tmp_path / "m.toml").time
+    right = np.datetime64("2026-03-01T12:00:00", "ns") + np.arange(9) * np.timedelta64(10, "s")
+    assert np.abs(found - right).max() < np.timedelta64(1, "ms")
+
+
+def test_seconds_of_a_spreadsheets_size_stay_seconds_and_milliseconds_are_said(tmp_path: Path) -> None:
+    columns = {"t_ms": 46082.0 + 100.0 * np.arange(9.0), **triple("mag_x mag_y mag_z", np.full((9, 3), 2e4))}
+    text = draft([table(tmp_path / "a.csv", columns)])
+    assert 'recipe = "seconds_since"' in text and "unit_s = [0.001]" in text
 
 
 def test_fill_values_are_guessed(tmp_path: Path) -> None:

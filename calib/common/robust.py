@@ -17,6 +17,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from scipy.optimize import brentq
 
 from fluxtwin.sim.base.errors import NoAnswer, amount
 from fluxtwin.sim.base.types import BoolArray, FloatArray
@@ -51,6 +52,30 @@ def rows_to_keep(start_nT: FloatArray, refit: Callable[[FloatArray], FloatArray]
             if moved < 1e-3:
                 break
     return robust_distance(r) < TUKEY_AT
+
+
+def within_attitude_errors(residuals_nT: FloatArray, field_nT: FloatArray) -> BoolArray:
+    """(N,) rows that an error of the attitude, beside the noise, explains: rows below six robust sigma where sigma follows
+    the field.
+
+    residuals_nT, field_nT: (N, 3) in one set of axes. An error theta leaves theta x B: nothing along the field, more where
+    the field is strong, so a slow one makes runs of rows that are far off by the scale of all rows. The noise is that along
+    the field; the square of what is across has the median 2 ln 2 in units of noise and attitude error together.
+    """
+    size = np.linalg.norm(field_nT, axis=1)
+    along = np.einsum("ij,ij->i", residuals_nT, field_nT) / size
+    across2 = np.maximum((residuals_nT**2).sum(axis=1) - along**2, 0.0)
+    along -= np.median(along)
+    noise2 = (MAD_TO_SIGMA * float(np.median(np.abs(along)))) ** 2
+    if noise2 == 0.0:
+        return np.zeros(size.size, dtype=np.bool_)
+
+    def beyond(theta2: float) -> float:
+        return float(np.median(across2 / (noise2 + theta2 * size**2))) - 2.0 * np.log(2.0)
+
+    largest = float((across2 / size**2).max())
+    theta2 = brentq(beyond, 0.0, largest) if beyond(0.0) > 0.0 else 0.0
+    return np.asarray(along**2 / noise2 + across2 / (noise2 + theta2 * size**2) < TUKEY_AT**2)
 
 
 def outlier_words(kept: BoolArray) -> str:

@@ -38,7 +38,7 @@ from fluxtwin.calib.common.noise import ReadingNoise, reading_noise
 from fluxtwin.calib.common.options import LinearOptions
 from fluxtwin.calib.common.records import Calibration, TelemetryBias, seconds_of
 from fluxtwin.calib.common.regression import Regression, regress, residuals
-from fluxtwin.calib.common.robust import outlier_words, rows_to_keep
+from fluxtwin.calib.common.robust import outlier_words, rows_to_keep, within_attitude_errors
 from fluxtwin.calib.linear.covariance_report import report_covariance
 from fluxtwin.calib.linear.estimating_equations import LinearProblem, Solution, turned_rad2
 from fluxtwin.sim.base.errors import BadInput, NoAnswer, amount
@@ -133,6 +133,7 @@ def fit_design(
         return residuals(y, x, fit.M, fit.c)
 
     kept = rows_to_keep(design.B_nT - design.H_nT, refit, options.robust)
+    kept |= within_attitude_errors(refit(kept.astype(np.float64)), design.H_nT)
     observability.require_samples(int(kept.sum()), wanted)
     if noise is None:
         noise = reading_noise(design, refit(kept.astype(np.float64)), options.noise_nT, options.lsb_nT)

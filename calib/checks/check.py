@@ -133,8 +133,8 @@ def check_telemetry(telemetry: Telemetry, model: FieldModel, *, onboard: Onboard
 def _against_field(telemetry: Telemetry, model: FieldModel, usable: BoolArray) -> tuple[BoolArray, list[Finding]]:
     """The findings of `check_field`, and the rows (N,) that they are of.
 
-    Where a trap is named and torquers were on, it is looked for again in the rows in which they were off: what couples from
-    them may be as large as the field.
+    Where a trap is named and torquers were on, it is looked for again in the rows in which they were off, or, where these
+    are few, without the steps that the readings make as the torquers switch: what couples may be as large as the field.
     """
     found = check_field(telemetry, model, usable)
     dipole = telemetry.dipole_B_Am2
@@ -142,8 +142,11 @@ def _against_field(telemetry: Telemetry, model: FieldModel, usable: BoolArray) -
         return usable, found
     on = np.any(np.abs(np.nan_to_num(dipole)) > 0.0, axis=1)
     quiet = usable & ~on
-    if not on.any() or int(quiet.sum()) < _QUIET_ROWS:
+    if not on.any():
         return usable, found
+    few = int(quiet.sum()) < _QUIET_ROWS
+    if few:
+        telemetry, quiet = telemetry.replace(mag_B_nT=_without_steps(telemetry, np.nan_to_num(dipole))), usable
     again = check_field(telemetry, model, quiet)
     named = {finding.code for finding in again if finding.severity == "trap"} - {"outliers"}
     if named:  # a cause that the quiet rows have, beside which a mere misfit in all rows says nothing
@@ -153,7 +156,23 @@ def _against_field(telemetry: Telemetry, model: FieldModel, usable: BoolArray) -
     if posed is not None:  # their field is fitted then, so that all rows can be looked at
         again = [finding for finding in again if finding.code not in ("outliers", "rough_readings")]
         again = [*check_outliers(telemetry, posed, model, usable)[0], *again]
-    return quiet, [*again, note("torquers_on", on=int(on.sum()), rows=len(telemetry))]
+    return quiet & ~on, [
+        *again,
+        note(f"torquers_on.{'steps' if few else 'off'}", on=int(on.sum()), rows=len(telemetry)),
+    ]
+
+
+def _without_steps(telemetry: Telemetry, dipole_B_Am2: FloatArray) -> FloatArray:
+    """(N, 3) readings less what they change by, from row to row, in proportion to the dipole.
+
+    By second differences over even steps: of the field next to nothing is left in these, whatever the attitude.
+    """
+    step = np.diff(epoch.seconds_since(telemetry.time, telemetry.time[0]))
+    bend = telemetry.mag_B_nT[2:] - 2.0 * telemetry.mag_B_nT[1:-1] + telemetry.mag_B_nT[:-2]
+    switched = dipole_B_Am2[2:] - 2.0 * dipole_B_Am2[1:-1] + dipole_B_Am2[:-2]
+    even = np.isclose(step[1:], step[:-1], rtol=0.1) & np.isfinite(bend).all(axis=1)
+    coupling = np.linalg.lstsq(switched[even], bend[even], rcond=None)[0]
+    return np.asarray(telemetry.mag_B_nT - dipole_B_Am2 @ coupling)
 
 
 def check_file(

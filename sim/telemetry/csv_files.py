@@ -325,6 +325,13 @@ def _names(head: bytes, where: str) -> tuple[str, ...]:
             where=where,
             wanted="the names of the columns in the first line, with units, as time, r_x_km, mag_x_nT (docs/telemetry.md)",
         )
+    if 2 * names.count("") > len(names):
+        few = [clip(name) for name in names if name]
+        raise BadInput(
+            f"has no header: its first line names {len(few)} of {amount(len(names), 'column|columns')} ({', '.join(few)})",
+            where=where,
+            wanted="the names of all columns in the first line; a title above it begins with #, or is taken away",
+        )
     doubled = sorted({name for name in names if name and names.count(name) > 1}) if len(set(names)) < len(names) else []
     if doubled:
         raise BadInput(f"column {clip(doubled[0])} is there twice", where=where, wanted="each once")

@@ -32,6 +32,18 @@ def test_a_record_with_torquers_on_is_no_trap(cubesat: Telemetry) -> None:
     assert fluxtwin.check(bare).traps, "nor what nobody recorded"
 
 
+@pytest.mark.parametrize(("first", "last"), [(0, 80), (0, 600), (1200, 1500)])
+def test_torquers_that_are_hardly_ever_off_are_no_trap(cubesat: Telemetry, first: int, last: int) -> None:
+    """Of the last no row has them off."""
+    part = cubesat[first:last]
+    found = fluxtwin.check(part)
+    assert found.traps == ()
+    assert "only without the steps" in next(note.text for note in found.notes if note.code == "torquers_on")
+    assert part.q_NB is not None
+    turned = part.replace(q_NB=part.q_NB * [-1.0, -1.0, -1.0, 1.0])
+    assert [trap.code for trap in fluxtwin.check(turned).traps] == ["attitude_convention"]
+
+
 def test_a_wrong_reading_shows_though_torquers_are_on(cubesat: Telemetry) -> None:
     """30 uT beside a coupling of 14 uT a torquer; switches that were recorded a row or two late are none."""
     assert cubesat.dipole_B_Am2 is not None and cubesat.dipole_B_Am2[[600, 1100]].any(axis=1).all()

@@ -273,6 +273,10 @@ FAULTS: dict[str, tuple[Callable[[list[str]], list[str]], str]] = {
     "no such zone": (lambda x: [s.replace("06:02:00Z", "06:02:00+99:99") for s in x], "time in row 3"),
     "no such day": (lambda x: [s.replace("07-24T06:02", "02-29T06:02") for s in x], "time in row 3"),
     "blank time": (lambda x: [s.replace("1978-07-24T06:02:00Z", "") for s in x], "time is missing in row 3"),
+    "a title": (
+        lambda x: ["MYSAT,pass 12" + "," * (x[0].count(",") - 1), *x],
+        "has no header: its first line names 2 of 11 columns (MYSAT, pass 12)",
+    ),
     "no header": (lambda x: x[1:], "has no header: its first line is a row of numbers"),
     "no rows": (lambda x: x[:1], "there are no rows"),
     "short row": (lambda x: [*x[:2], x[2].rsplit(",", 1)[0], *x[3:]], "row 2 has 10 fields, the header has 11"),

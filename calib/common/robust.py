@@ -71,7 +71,7 @@ def within_attitude_errors(residuals_nT: FloatArray, field_nT: FloatArray) -> Bo
         return np.zeros(size.size, dtype=np.bool_)
 
     def beyond(theta2: float) -> float:
-        return float(np.median(across2 / (noise2 + theta2 * size**2))) - 2.0 * np.log(2.0)
+        return float(np.median(across2 / (noise2 + theta2 * size**2)) - 2.0 * np.log(2.0))
 
     largest = float((across2 / size**2).max())
     theta2 = brentq(beyond, 0.0, largest) if beyond(0.0) > 0.0 else 0.0

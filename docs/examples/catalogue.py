@@ -65,7 +65,8 @@ SETTINGS = {
     ),
     "battery_current": (
         'if no current is recorded, `panel` ("constant", or as for the array "zenith", "tracking") is taken to give '
-        "2 A in full sun, of which the load takes 1 A"
+        '2 A in full sun, of which the load takes 1 A; or ("tapered", with `taper_s` and `trickle`) the battery to take 1 A '
+        "at sunrise, falling with that time constant to that share, and to give it back in the shadow"
     ),
     "driver": (
         "`[effects.driver.NAME]`: NAME is its setting `column`, so there may be several; `delay_s` and "

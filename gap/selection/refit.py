@@ -22,7 +22,7 @@ from fluxtwin.gap.linear.projection import SHARE_LEFT, Whitens, least_share, ort
 from fluxtwin.gap.noise.whitening import Whitener
 from fluxtwin.gap.problem.problem import Problem, calibrated, realigned
 from fluxtwin.gap.selection.criterion import SHAPE
-from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
+from fluxtwin.sim.base.types import BoolArray, FloatArray, IntArray, TimeArray
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.effects.base import SignalEffect
 from fluxtwin.sim.effects.chain import Active, jacobian
@@ -31,6 +31,8 @@ from fluxtwin.sim.effects.switched_field import SwitchedField
 
 _RCOND = 0.1 * float(np.sqrt(SHARE_LEFT))
 _STEPS = 24
+_CLOSER = 8
+"""By this factor the edges of an interval are looked for more finely, until they are known to the row."""
 WHOLLY = 0.99  # of a parameter's direction
 
 
@@ -415,28 +417,39 @@ def likeliest_interval(
     rows, edges = problem.rows, 64
     if rows < 4 * edges:
         return None
-    at = np.linspace(0, rows, edges + 1).astype(int)[1:-1]
-    steps = (np.arange(rows)[:, None] >= at[None, :]).astype(np.float64)
-    white = whitener.apply(in_body(steps)).reshape(residual.size, -1)
     basis = orthonormal(nuisance)
-    white = white - basis @ (basis.T @ white)
-    gram = (white.T @ white).reshape(at.size, 3, at.size, 3)
-    moment = (white.T @ residual.reshape(-1)).reshape(at.size, 3)
-    own = np.stack([gram[k, :, k, :] for k in range(at.size)])
-    single = _explained(own, moment)
+
+    def explained(at: IntArray, first: IntArray, last: IntArray) -> tuple[FloatArray, FloatArray]:
+        """What a step at each row of `at` (K,) explains, and each pair of its steps, by their places (P,)."""
+        steps = (np.arange(rows)[:, None] >= at[None, :]).astype(np.float64)
+        white = whitener.apply(in_body(steps)).reshape(residual.size, -1)
+        white = white - basis @ (basis.T @ white)
+        gram = (white.T @ white).reshape(at.size, 3, at.size, 3)
+        moment = (white.T @ residual.reshape(-1)).reshape(at.size, 3)
+        own = np.stack([gram[k, :, k, :] for k in range(at.size)])
+        mixed = gram[first, :, last, :]
+        both = own[first] + own[last] - mixed - np.transpose(mixed, (0, 2, 1))
+        return _explained(own, moment), _explained(both, moment[first] - moment[last])
+
+    at = np.linspace(0, rows, edges + 1).astype(int)[1:-1]
     share = 0.05  # of the record, inside and on either side: shorter ones are spikes, or a step
     first, last = np.triu_indices(at.size, k=int(share * edges))
     inside = (at[first] > share * rows) & (at[last] < (1.0 - share) * rows)
     first, last = first[inside], last[inside]
-    mixed = gram[first, :, last, :]
-    both = own[first] + own[last] - mixed - np.transpose(mixed, (0, 2, 1))
-    double = _explained(both, moment[first] - moment[last])
+    single, double = explained(at, first, last)
     best = int(np.argmax(double))
     further = (double[best] - single.max()) / (1.0 + SHAPE * single.max())
     if worth(further, 1, rows, float(np.log(at.size))) < THRESHOLD:
         return None
-    begin, end = (epoch.iso(problem.time[at[edge[best]]], "ms") for edge in (first, last))
-    return SwitchedField("interval", begin, end)
+    begin, end, spacing = int(at[first[best]]), int(at[last[best]]), -(-rows // edges)
+    while spacing > 1:  # to the row: of a strong field a few rows on the wrong side are structure
+        spacing = -(-spacing // _CLOSER)
+        near = spacing * np.arange(-_CLOSER, _CLOSER + 1)
+        at = np.clip(np.concatenate([begin + near, end + near]), 1, rows - 1)
+        first, last = (places.ravel() for places in np.meshgrid(np.arange(near.size), near.size + np.arange(near.size)))
+        best = int(np.argmax(explained(at, first, last)[1]))
+        begin, end = int(at[first[best]]), int(at[last[best]])
+    return SwitchedField("interval", *(epoch.iso(problem.time[edge], "ms") for edge in (begin, end)))
 
 
 def likeliest_jump(time: TimeArray, residual: FloatArray, weights: FloatArray) -> list[str]:

@@ -180,6 +180,7 @@ class BatteryCurrent(SpacecraftField):
     panel: BatteryKind | Face = "constant"
     taper_s: float | None = None
     trickle: float | None = None
+    """Share of the current at sunrise, 0 to 1."""
 
     parameters = vector_parameters("s", "nT/A", 20.0)
 

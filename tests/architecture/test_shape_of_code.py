@@ -24,6 +24,7 @@ NO_UNIT = (
         "weights",
         "own_weight",
         "eccentricity",
+        "trickle",
         "condition",
         "covariance",
         "driver_covariance",

@@ -443,10 +443,12 @@ def likeliest_interval(
         return None
     begin, end, spacing = int(at[first[best]]), int(at[last[best]]), -(-rows // edges)
     while spacing > 1:  # to the row: of a strong field a few rows on the wrong side are structure
-        spacing = -(-spacing // _CLOSER)
-        near = spacing * np.arange(-_CLOSER, _CLOSER + 1)
-        at = np.clip(np.concatenate([begin + near, end + near]), 1, rows - 1)
+        closer = -(-spacing // _CLOSER)
+        near = np.arange(-spacing, spacing + 1, closer)
+        at, spacing = np.clip(np.concatenate([begin + near, end + near]), 1, rows - 1), closer
         first, last = (places.ravel() for places in np.meshgrid(np.arange(near.size), near.size + np.arange(near.size)))
+        ordered = at[first] < at[last]
+        first, last = first[ordered], last[ordered]
         best = int(np.argmax(explained(at, first, last)[1]))
         begin, end = int(at[first[best]]), int(at[last[best]])
     return SwitchedField("interval", *(epoch.iso(problem.time[edge], "ms") for edge in (begin, end)))

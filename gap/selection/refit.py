@@ -451,7 +451,8 @@ def likeliest_interval(
         first, last = first[ordered], last[ordered]
         best = int(np.argmax(explained(at, first, last)[1]))
         begin, end = int(at[first[best]]), int(at[last[best]])
-    return SwitchedField("interval", *(epoch.iso(problem.time[edge], "ms") for edge in (begin, end)))
+    from_utc, to_utc = (epoch.iso(problem.time[edge], "ms") for edge in (begin, end))
+    return SwitchedField("interval", from_utc, to_utc)
 
 
 def likeliest_jump(time: TimeArray, residual: FloatArray, weights: FloatArray) -> list[str]:

@@ -133,7 +133,8 @@ def fit_design(
         return residuals(y, x, fit.M, fit.c)
 
     kept = rows_to_keep(design.B_nT - design.H_nT, refit, options.robust)
-    kept |= within_attitude_errors(refit(kept.astype(np.float64)), design.H_nT)
+    if not kept.all():
+        kept |= within_attitude_errors(refit(kept.astype(np.float64)), design.H_nT)
     observability.require_samples(int(kept.sum()), wanted)
     if noise is None:
         noise = reading_noise(design, refit(kept.astype(np.float64)), options.noise_nT, options.lsb_nT)

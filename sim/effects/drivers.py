@@ -95,14 +95,17 @@ def sun_in_body(setting: Setting) -> tuple[FloatArray, BoolArray]:
     return sun_B, known
 
 
+def battery_column_A(setting: Setting, panel: BatteryKind | Face) -> FloatArray | None:
+    """(N,) recorded current of the battery, else that of the array, whose load hardly changes, unless the battery tapers."""
+    own = known_column(setting, "battery_current_A")
+    return own if own is not None or panel == "tapered" else known_column(setting, "array_current_A")
+
+
 def battery_current_A(setting: Setting, panel: ArrayKind | Face = "constant") -> FloatArray:
     """(N,) recorded current of the battery, positive when charging; else that of the array, but for a constant load; else
     that of an array of 2 A in full sun less a load of 1 A."""
-    for name in ("battery_current_A", "array_current_A"):
-        column = known_column(setting, name)
-        if column is not None:
-            return column
-    return 2.0 * array_current_A(setting, panel) - 1.0
+    column = battery_column_A(setting, panel)
+    return 2.0 * array_current_A(setting, panel) - 1.0 if column is None else column
 
 
 def tapered_A(setting: Setting, taper_s: float, trickle: float) -> FloatArray:

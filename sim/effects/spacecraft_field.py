@@ -16,6 +16,7 @@ from fluxtwin.sim.effects.drivers import (
     Face,
     PanelKind,
     array_current_A,
+    battery_column_A,
     battery_current_A,
     face,
     faces_beside,
@@ -203,12 +204,12 @@ class BatteryCurrent(SpacecraftField):
         return tuple(replace(self, trickle=share) for share in moves if 0.0 <= share < 1.0)
 
     def condition_on(self, setting: Setting) -> str | None:
-        return "sunlit" if self._column(setting) is None else self.follows
+        return "sunlit" if battery_column_A(setting, self.panel) is None else self.follows
 
     def values(self, setting: Setting) -> FloatArray:
         if self.panel != "tapered":
             return battery_current_A(setting, self.panel)
-        recorded = self._column(setting)
+        recorded = battery_column_A(setting, self.panel)
         if recorded is not None:
             return recorded
         taper_s, trickle = self.taper_s or 0.0, self.trickle or 0.0
@@ -218,18 +219,13 @@ class BatteryCurrent(SpacecraftField):
         return tapered_A(setting, taper_s, trickle)
 
     def stands_in(self, setting: Setting) -> str:
-        if self._column(setting) is not None:
+        if battery_column_A(setting, self.panel) is not None:
             return ""
         if self.panel == "tapered":
             return "at sunrise on an assumed charging current that tapers, as that of the battery was not recorded"
         return (
             f"in full sun on an assumed {_in_words(self.panel)}, and the opposite in shadow, as no current was recorded"
         )
-
-    def _column(self, setting: Setting) -> FloatArray | None:
-        """(N,) the recorded current of the battery, else that of the array, whose load hardly changes, unless tapered."""
-        own = known_column(setting, "battery_current_A")
-        return own if own is not None or self.panel == "tapered" else known_column(setting, "array_current_A")
 
     def untestable(self, setting: Setting) -> str | None:
         if varies(self.values(setting)):

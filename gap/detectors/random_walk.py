@@ -22,8 +22,15 @@ from fluxtwin.sim.effects.calibration import BiasRandomWalk
 _COME_BACK = (8.0, 16.0)  # half periods over the record
 
 
-def random_walk(seconds: FloatArray, left: ProjectedResidual, sigma_nT: float) -> Finding | None:
-    """A walk in a whitened residual; None where there is nothing slow at all. sigma_nT: the noise unit."""
+def random_walk(
+    seconds: FloatArray, left: ProjectedResidual, walking: ProjectedResidual, sigma_nT: float
+) -> Finding | None:
+    """A walk in a whitened residual; None where there is nothing slow at all.
+
+    walking: the same residual, whitened with a walk in the noise. What is left of each row is what those before it do not
+    foretell: Gaussian under a walk (Harvey 1989, Forecasting, structural time series models and the Kalman filter, section
+    5.4), with a few large ones where levels are switched between. sigma_nT: the noise unit.
+    """
     knots = 48  # increments of the walk that are looked at
     if seconds.size < 2 * knots:
         return None
@@ -46,7 +53,7 @@ def random_walk(seconds: FloatArray, left: ProjectedResidual, sigma_nT: float) -
     at = np.linspace(0, seconds.size - 1, knots + 1).astype(int)
     if _one_stands_out(gram, moment, rate, np.diff(shapes[at], axis=0)):
         faults.append("one of its steps stands out")
-    if jumps(seconds, left, rate, float(variance)):
+    if not gaussian(walking.residual[walking.residual != 0]):  # one that was left out is zero
         faults.append("it jumps between levels")
     size, what = np.array([rate]), "the bias wanders like a random walk"
     return Finding(BiasRandomWalk(), size, size / np.sqrt(max(q.size, 2)), value, what, tuple(faults))
@@ -94,23 +101,6 @@ def _one_stands_out(gram: FloatArray, moment: FloatArray, size: float, between: 
     spread = np.sqrt(np.einsum("ij,j->i", paths**2, shrink**2 * (1 + size**2 * value)))
     largest = float(np.max(np.abs(increments) / np.maximum(spread, 1e-12)))
     return bool(2 * stats.norm.sf(largest) * increments.size < FALSE_ALARM)
-
-
-def jumps(seconds: FloatArray, left: ProjectedResidual, rate: float, variance: float) -> bool:
-    """Whether single rows move further than a walk of that rate (noise units per root second) does.
-
-    A walk seen through white noise has Gaussian innovations at every row (Harvey 1989, Forecasting, structural time
-    series models and the Kalman filter, section 5.4); levels that are switched between have a few large ones.
-    """
-    series = left.residual.reshape(-1, 3)
-    level, spread, found = np.zeros(3), 1e6 * variance, []
-    for value, since in zip(series, np.diff(seconds, prepend=seconds[0]), strict=True):
-        spread += rate**2 * since
-        found.append((value - level) / np.sqrt(spread + variance))
-        gain = spread / (spread + variance)
-        level = level + gain * (value - level)
-        spread *= 1.0 - gain
-    return not gaussian(np.array(found)[np.any(series != 0, axis=1)])
 
 
 def modes_of_a_walk(seconds: FloatArray) -> FloatArray:

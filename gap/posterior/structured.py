@@ -216,7 +216,8 @@ class Structured:
         if found is None:
             return None
         left = projected(best.whitener, best.residual_nT, best.fitted_nT)
-        finding = random_walk(self.problem.setting.seconds, left, best.whitener.noise.sigma_nT)
+        walking = projected(with_walk(best.whitener, best.rate), best.residual_nT, best.fitted_nT)
+        finding = random_walk(self.problem.setting.seconds, left, walking, best.whitener.noise.sigma_nT)
         if finding is None or not finding.confirmed:
             return None
         if best.answer is None:

@@ -93,9 +93,18 @@ class Bench:
             wheel_line(setting, left, line, fits),
             heater_sequence(setting, left, residual, self.calibration, fits, line),
             switched_region(self.problem, left, fits),
-            random_walk(setting.seconds, left, SIGMA_NT),
+            self.walk(residual),
         ]
         return {one.name for one in findings if one is not None and one.confirmed}
+
+    def walk(self, residual: np.ndarray, weights: np.ndarray | None = None) -> Finding | None:
+        """weights (N, 3): 0 for a component that is left out."""
+        setting = self.problem.setting
+        image = turn_images(self.problem.field_B_nT)
+        whitener = make_whitener(image, setting.seconds, self.problem.segment, self.whitener.noise, weights)
+        walking = with_walk(whitener, likeliest_rate(whitener, residual, self.calibration) or 0.0)
+        either = (projected(one, residual, self.calibration) for one in (whitener, walking))
+        return random_walk(setting.seconds, *either, SIGMA_NT)
 
 
 @pytest.fixture(scope="module")
@@ -215,12 +224,21 @@ def test_levels_that_are_switched_between_are_no_walk(bench: Bench) -> None:
         assert bench.confirmed(600.0 * levels, seed) == set()
 
 
+def test_components_that_are_left_out_are_no_jumps_of_a_walk(bench: Bench) -> None:
+    t = bench.problem.setting.seconds
+    rng = np.random.default_rng(7)
+    weights = np.ones((t.size, 3))
+    weights[rng.choice(t.size, 30, replace=False), rng.integers(3, size=30)] = 0.0
+    found = bench.walk(walk(t, 8.0, 7) + SIGMA_NT * rng.standard_normal((t.size, 3)), weights)
+    assert found is not None
+    assert found.confirmed
+
+
 def test_size_of_a_walk_and_of_a_wheel(bench: Bench) -> None:
     t, setting = bench.problem.setting.seconds, bench.problem.setting
     rng = np.random.default_rng(31)
     noise = SIGMA_NT * rng.standard_normal((t.size, 3))
-    left = projected(bench.whitener, noise + walk(t, 2.0, 5), bench.calibration)
-    found = random_walk(t, left, SIGMA_NT)
+    found = bench.walk(noise + walk(t, 2.0, 5))
     assert found is not None
     (value,), (sigma,), unit = found.theta, found.sigma, found.effect.parameters[0].unit
     assert unit == "nT/sqrt(s)"

@@ -115,7 +115,7 @@ def judge(
     clues.append(clue("step", gain, float(np.log(seconds.size)), words, condition="after_time"))
     log10_p, excess = drift(left)
     words = "a slow drift that follows no known condition"
-    clues.append(Structure(-2.0 * log10_p * float(np.log(10.0)), excess, "drift", words, "time"))
+    clues.append(Structure(-2.0 * log10_p * float(np.log(10.0)), excess / unit, "drift", words, "time"))
     if own is not None and own.shape[2]:
         for count, gain in zip(PARTS, parts(left, own), strict=True):
             words = f"the parameters differ between the {count} parts of the record"
@@ -148,7 +148,7 @@ def likeliest_step(seconds: FloatArray, left: ProjectedResidual) -> float:
 
 
 def drift(left: ProjectedResidual) -> tuple[float, float]:
-    """log10 p-value of too much energy at long scales, and the excess.
+    """log10 p-value of too much energy at long scales, and the excess, as energy.
 
     Means over blocks of 4, 16, 64, ... samples (an Allan-like scale) hold a known share of the energy of white
     noise; the fitted columns' share is taken out exactly. F against the rest, less a tolerance: the slow part of the
@@ -170,7 +170,7 @@ def drift(left: ProjectedResidual) -> tuple[float, float]:
         rest = max((left.energy - energy) / spare, 1e-300)
         ratio = (energy / degrees) / rest / tolerance
         if ratio > 1:
-            found.append((log10_sf_f(ratio, degrees, spare), energy / max(rest, 0.25) - degrees * tolerance))
+            found.append((log10_sf_f(ratio, degrees, spare), energy - degrees * rest * tolerance))
     log10_p, excess = min(found)
     return min(float(log10_p + np.log10(max(len(lengths), 1))), 0.0), excess
 

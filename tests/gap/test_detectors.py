@@ -341,6 +341,14 @@ def test_a_stuck_bit_is_found(bench: Bench, bit: int) -> None:
     assert f"bit {bit} of axis y" in found.words
 
 
+def test_a_drift_takes_no_more_of_chi_square_than_there_is(bench: Bench) -> None:
+    """Noise of half the size that it was taken for, with a walk: the scatter within blocks is a quarter of the unit."""
+    t = bench.problem.setting.seconds
+    noise = 0.5 * SIGMA_NT * np.random.default_rng(23).standard_normal((t.size, 3))
+    left = projected(bench.whitener, noise + walk(t, 2.0, 24), bench.calibration)
+    assert 0.0 < drift(left)[1] < left.energy
+
+
 def test_a_walk_is_white_after_its_own_whitening(bench: Bench, close: Callable[..., None]) -> None:
     """Variance one at every scale, which it is not after the whitening of the noise alone."""
     t = bench.problem.setting.seconds

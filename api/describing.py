@@ -141,8 +141,7 @@ def lacks(record: Telemetry) -> dict[str, list[str]]:
     out = {"check": reading, "apply": reading}
     for name, estimator in ESTIMATORS.items():
         out[f"calibrate --method {name}"] = [*reading, *(word for need in estimator.needs for word in missing[need])]
-    out["yaw"] = [*reading, *place, *attitude]
-    out["attitude"] = [*reading, *place, *([] if not attitude or nadir else ["attitude, or nadir"])]
+    out["yaw"] = out["attitude"] = [*reading, *place, *([] if not attitude or nadir else ["attitude, or nadir"])]
     out["diagnose"] = [*reading, *place]
     return out
 

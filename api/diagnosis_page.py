@@ -168,7 +168,7 @@ def next_step(diagnosis: Diagnosis, source: str = "TELEMETRY", correct: str = CO
         return f"{done}; {f'fluxtwin plan {source} proposes what to fly to find out which it is' if unsure else test}."
     if diagnosis.transfers is not None:
         return f"{done and f'{done}; '}diagnose the telemetry of another day with the closed scenario (--scenario)."
-    close = f"fluxtwin diagnose {source} --close CLOSED.toml. "
+    close = f"fluxtwin diagnose {source} --close CLOSED.toml; "
     return f"{close}{done and f'{done}; '}test the scenario on the telemetry of another day."
 
 

@@ -189,8 +189,9 @@ def apply(
     scenario: in place of a calibration, a scenario that a diagnosis has closed. Its effects are taken out of readings and
     positions first (those of spacecraft and sensor, and the error along the track), then its own S, b and T act.
 
-    Raises BadInput for a record that is corrected already, and for a calibration of another spacecraft; force corrects it
-    all the same. Warns of rows outside the time and the temperatures of the calibration, and after its expiry.
+    Raises BadInput for a record that is corrected already, and for a calibration of another spacecraft or magnetometer;
+    force corrects it all the same. Warns of rows outside the time and the temperatures of the calibration, and after its
+    expiry.
     """
     record = as_record(telemetry, **reading)
     if (calibration is None) == (scenario is None):
@@ -312,12 +313,16 @@ def yaw(
     force: bool = False,
     **reading: Unpack[Reading],
 ) -> YawSolution:
-    """Yaw from the calibrated field, with roll and pitch from elsewhere, and its sigma.
+    """Yaw from the calibrated field and the record's roll and pitch, with its sigma (Lerner & Shuster 1981, eqs. 12 and 14).
+
+    The angles are 3-1-2 from the orbital frame (z nadir, y negative orbit normal) to the body. Roll and pitch come from the
+    reference attitude, or from the measured nadir where there is none. Arrays of the answer are (N,), for the N rows with a
+    reading, a position, and roll and pitch.
 
     calibration: None for a record that `apply` has corrected.
     sigma_nT: the error of a field component, 1 sigma [nT]; None takes the calibration's.
     attitude_sigma_deg: the error of roll and of pitch, 1 sigma [deg].
-    average_s: how long yaw is averaged [s].
+    average_s: length of the intervals over which yaw is averaged as well [s].
 
     Raises BadInput as `apply` does.
     """

@@ -23,6 +23,7 @@ FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 SAVED = re.compile(r"`([\w.-]+\.\w+)`:\s*$")
 DIGEST = re.compile(r"\b(?=[0-9a-f]*[a-f])(?=[0-9a-f]*\d)[0-9a-f]{12,64}\b")
 NUMBER = re.compile(r"(?<![\w.])[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?![\w]*\d)")
+ROOT = Path(__file__).parents[1]
 Run = Callable[[list[str]], tuple[int, str]]
 """A command's words to its exit status and standard output."""
 
@@ -114,7 +115,8 @@ def follow(page: Path, folder: Path, run: Run) -> list[str]:
         if isinstance(step, File):
             (folder / step.name).write_text(step.text, encoding="utf-8")
             continue
-        status, printed = run(step.words)
+        # The reader of a path below docs stands in a copy of the source.
+        status, printed = run([str(ROOT / word) if word.startswith("docs/") else word for word in step.words])
         missed = differs(step.shown, printed)
         if missed or status == 2:
             said = f"the page shows\n{missed}\nand this was printed (status {status}):\n{printed}"

@@ -65,9 +65,8 @@ def command(
     if effects is not None:
         output.say(f"effects taken out: {', '.join(effects.taken) or 'none'}")
         if effects.left:
-            output.say(
-                f"still there, as no error of readings or positions that is known row by row: {', '.join(effects.left)}"
-            )
+            because = "only errors of positions, and of readings that are known row by row, can be"
+            output.say(f"not taken out, because {because}: {', '.join(effects.left)}")
     beyond = None if known is None else outside_span(record, known)
     output.say(f"the new file is marked as corrected by {corrected.corrected_by}")
     output.say(f"  {out}")

@@ -62,7 +62,7 @@ def command(
     from fluxtwin import outputs
     from fluxtwin.sim.base.errors import BadInput
 
-    asked: dict[str, Any] = {**assumed._asdict(), "modelled": modelled}
+    asked: dict[str, Any] = {"modelled": modelled, **assumed._asdict()}
     given = [path for path in telemetry if not follow or str(path) != "-"]
     targets = {"--html": (html, outputs.PAGE), "--close": (close, outputs.SCENARIO)}
     output.claim(targets, [*given, scenario, calibration, assumed.field, *reading.files])
@@ -91,7 +91,7 @@ def command(
             diagnosis, scene = diagnosing.close(
                 diagnosis, scenario=scenario, telemetry=telemetry[0], column_map=reading.column_map, declared=declared
             )
-        named = (shlex.quote(str(telemetry[0])), reading.words, assumed.words)
+        named = (shlex.quote(str(telemetry[0])), reading.words, of.as_options({"scenario": scenario, **asked}))
         commands = {"source": " ".join(filter(None, named)), "correct": _correct(telemetry[0], close, reading)}
         if scene is not None:
             commands["closed"] = shlex.quote(str(close))

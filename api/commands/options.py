@@ -140,11 +140,6 @@ class Assumed(NamedTuple):
     field: ScenarioFieldOption = None
     degree: DegreeOption = None
 
-    @property
-    def words(self) -> str:
-        """The options that are given, as a shell takes them."""
-        return as_options(self._asdict())
-
 
 ASSUMED = Assumed()
 

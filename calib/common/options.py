@@ -93,8 +93,8 @@ OPTIONS = {
     ),
     "noise_nT": Option("Noise of the reading, 1 sigma per axis [nT]; otherwise estimated.", float, "NT"),
     "lsb_nT": Option("Least significant bit of the reading [nT]; otherwise estimated.", float, "NT"),
-    "weights": Option("(N,) weights of the joined rows, any scale (journal eq. 4)."),
-    "passes": Option("(N,) labels of the joined rows: what a block is."),
+    "weights": Option("(N,) weights of the joined rows, any scale (Lerner & Shuster 1981, eq. 4)."),
+    "passes": Option("(N,) labels of the joined rows; rows with the same label form a block."),
     "sun_sigma_deg": Option(
         "Noise of a sun pulse or sun vector, 1 sigma [deg]; batch, iterative, recursive.",
         float,

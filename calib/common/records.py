@@ -164,7 +164,7 @@ class Calibration(Shown):
         dipole_B_Am2: FloatArray | None = None,
         columns: Mapping[str, FloatArray] | None = None,
     ) -> FloatArray:
-        """(N, 3) estimate of the true field in body axes: (I+S) B + b + T D (journal eq. 1).
+        """(N, 3) estimate of the true field in body axes: (I+S) B + b + T D (Lerner & Shuster 1981, eq. 1).
 
         mag_B_nT, dipole_B_Am2: (N, 3), body. columns: (N,) columns of telemetry by name, as `columns_of` returns
         them. Rows with missing numbers stay missing.

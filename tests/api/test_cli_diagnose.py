@@ -201,6 +201,14 @@ def test_next_is_a_command_that_runs(late: Case, cli: Cli, tmp_path: Path, monke
     assert Path("my flight-corrected.nc").exists()
 
 
+def test_the_next_command_has_the_options_of_this_one(late: Case, cli: Cli) -> None:
+    (late.folder / "as built.toml").write_text(SCENARIO, encoding="utf-8")
+    asked = ("--scenario", late.folder / "as built.toml", "--modelled", "scale_misalignment,bias", "--noise-nT", "30.0")
+    out = " ".join(cli("diagnose", late.telemetry, *asked).out.split())
+    again = re.escape(f"{late.telemetry} {shlex.join(map(str, asked))}")
+    assert re.search(rf"Next: fluxtwin (plan {again},|diagnose {again} --close CLOSED\.toml;) ", out)
+
+
 def test_the_closed_scenario_says_for_which_designs_it_is_good_enough(late: Case) -> None:
     said = late.answer["transfers"]
     assert {one["effect"] for one in said} == {"time_tag_offset"}

@@ -44,10 +44,19 @@ def test_info_tells_what_is_there_and_what_is_not(cli: Cli, file: Path) -> None:
     text = cli("info", file).out
     assert (
         "has the columns for: check, apply" in text
-        and "yaw lacks attitude" in text
+        and "yaw lacks attitude, or nadir" in text
         and "2 passes" in text
         and "910" in text
     )
+
+
+def test_yaw_lacks_nothing_where_nadir_gives_roll_and_pitch() -> None:
+    ten_minutes = [{"start_utc": "2026-03-01T00:00:00Z", "duration_min": 10.0, "step_s": 30.0}]
+    changes = {"horizon_scanner": {}, "torquers": None, "schedule.segments": ten_minutes}
+    flown, _ = fluxtwin.simulate(fluxtwin.load_scenario("cubesat").updated(changes))
+    record = flown.replace(q_NB=None)
+    assert fluxtwin.info(record).lacks["yaw"] == []
+    assert len(fluxtwin.yaw(record, fluxtwin.Calibration(np.zeros((3, 3)), np.zeros(3))).time) == 21
 
 
 def test_info_lists_the_header_of_a_foreign_file(cli: Cli, tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import re
 import runpy
+import tomllib
 from pathlib import Path
 from typing import Any, get_args
 
@@ -61,6 +62,12 @@ def test_every_effect_and_its_keys_are_described():
         listed = keys if len(keys) < 7 else (keys[0], keys[-1])  # of 18 or 30 alike the first and the last
         names = [key.name for key in listed] + [item.name for item in dataclasses.fields(effect)]
         assert [name for name in names if f"`{name}`" not in section] == []
+
+
+def test_every_trap_is_described():
+    text = (ROOT / "docs" / "telemetry.md").read_text(encoding="utf-8")
+    traps = tomllib.loads((ROOT / "calib" / "checks" / "findings.toml").read_text(encoding="utf-8"))["trap"]
+    assert [code for code in traps if f"`{code}`" not in text] == []
 
 
 def test_links_in_the_documents_lead_somewhere():

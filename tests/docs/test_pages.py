@@ -1,4 +1,4 @@
-"""Every command of the tutorial and the how-tos is run, and prints what the page shows."""
+"""Every command of the tutorial, the how-tos and the page on diagnosis is run, and prints what the page shows."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pages import Command, differs, follow, steps
 
 pytestmark = pytest.mark.usefixtures("small_figures")
 
-PAGES = [ROOT / "docs" / "tutorial.md", *sorted((ROOT / "docs" / "howto").glob("*.md"))]
+PAGES = [ROOT / "docs" / "tutorial.md", ROOT / "docs" / "diagnosis.md", *sorted((ROOT / "docs" / "howto").glob("*.md"))]
 
 
 @pytest.mark.filterwarnings("default::UserWarning")  # a note for the user, which the page does not show

@@ -72,7 +72,7 @@ class Nonlinearity(SignalEffect):
 
     def carried(self, signal: Signal, theta: FloatArray, images: FloatArray) -> FloatArray:
         gain = np.einsum("am,nmc->nac", theta.reshape(3, -1), slopes(signal.reading, self.degree))
-        return images + gain @ images
+        return np.asarray(images + gain @ images)
 
 
 def nonlinear_parameters(prefix: str, degree: int) -> tuple[Parameter, ...]:

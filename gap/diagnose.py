@@ -24,7 +24,7 @@ from fluxtwin.gap.law.words import beside_names
 from fluxtwin.gap.linear.projection import ProjectedResidual, projected
 from fluxtwin.gap.noise.choice import NoiseModel, choose_noise, complete_budget, likely_noises, prior_of, whitener_of
 from fluxtwin.gap.noise.whitening import with_walk
-from fluxtwin.gap.posterior.explanations import Answer, noise_and_answer, without_names
+from fluxtwin.gap.posterior.explanations import Answer, answered, noise_and_search, without_names
 from fluxtwin.gap.posterior.structured import Structured
 from fluxtwin.gap.posterior.torques import balanced
 from fluxtwin.gap.posterior.where import where
@@ -206,18 +206,22 @@ def investigate(
     known = candidates(problem, perturbed=perturbed)
     dictionary = Dictionary(blocks(problem, perturbed=perturbed), problem.rows)
     progress("noise, and which effects", 0.25)
-    answer = noise_and_answer(problem, dictionary, known)
+    sought = noise_and_search(problem, known)
+    answer = answered(problem, sought, dictionary)
     again = _beside_the_names(problem, answer)
     if again is not problem:
+        del sought  # there is room for one
         earlier = _in_terms_of(again, problem, answer.fitted)
         problem, known = again, candidates(again)
         dictionary = Dictionary(blocks(problem), problem.rows)
-        answer = noise_and_answer(problem, dictionary, known, earlier)
+        sought = noise_and_search(problem, known, earlier)
+        answer = answered(problem, sought, dictionary)
     if problem.free_attitude_error and answer.left.structured:
         steady = blocks(problem, perturbed=PerturbedDesign(problem, parts_of(answer.noise.theta_rad)))
         if len(steady) < len(dictionary.found):  # the others are made of the error that is found beside the names
             dictionary = Dictionary(steady, problem.rows)
-            answer = noise_and_answer(problem, dictionary, known, answer.fitted)
+            answer = answered(problem, sought, dictionary)
+    del sought
     progress("residual structure, and where", 0.75)
     fast = None if whole is None else full_rate(whole, problem, answer.result.modelled, answer.result.chosen)
     waveforms = Structured(problem, dictionary, known)

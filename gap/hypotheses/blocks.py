@@ -453,26 +453,24 @@ class Dictionary:
         """most_bytes: that what is whitened may take between two questions."""
         self.found, self.rows = tuple(found), rows
         self.kept = 24 * rows * sum(len(block.axes) for block in self.found) <= most_bytes
-        self._latest: tuple[Whitens, _Some] | None = None
+        self._latest: tuple[Whitens, Sequence[_Some]] | None = None
 
     def _white(self, whitener: Whitens) -> Iterator[_Some]:
-        """All blocks, or some at a time."""
+        """All blocks, some at a time."""
         if self._latest is not None and self._latest[0] is whitener:
-            yield self._latest[1]
+            yield from self._latest[1]
             return
-        self._latest, together = None, max(len(self.found), 1) if self.kept else _TOGETHER
-        for first in range(0, len(self.found), together):
-            some = self._whitened(self.found[first : first + together], whitener)
+        self._latest = None
+        every: list[_Some] = []
+        for first in range(0, len(self.found), _TOGETHER):
+            some = self._whitened(self.found[first : first + _TOGETHER], whitener)
             if self.kept:
-                self._latest = (whitener, some)
+                every.append(some)
             yield some
+        self._latest = (whitener, every) if self.kept else None
 
     def _whitened(self, blocks: Sequence[Block], whitener: Whitens) -> _Some:
-        white, end = np.empty((3 * self.rows, sum(len(block.axes) for block in blocks))), 0
-        for first in range(0, len(blocks), _TOGETHER):
-            made = np.concatenate([block.make() for block in blocks[first : first + _TOGETHER]], axis=2)
-            begin, end = end, end + made.shape[2]
-            white[:, begin:end] = whitener.apply(made).reshape(-1, made.shape[2])
+        white = whitener.apply(np.concatenate([block.make() for block in blocks], axis=2)).reshape(3 * self.rows, -1)
         ends = np.cumsum([0, *(len(block.axes) for block in blocks)]).tolist()
         places = [slice(*pair) for pair in pairwise(ends)]
         return blocks, white, places, [white[:, here].T @ white[:, here] for here in places]

@@ -247,10 +247,18 @@ def log_likelihood(
     return 2.0 * density - whitener.log_det - projected(whitener, residual_nT, columns).energy
 
 
-def noise_and_answer(
-    problem: Problem, dictionary: Dictionary, known: Known, earlier: Parameters | None = None
-) -> Answer:
-    """The noise beside what is modelled, the answer under it; then the noise beside the named effects too, and the answer
+@dataclass(frozen=True, eq=False)
+class Sought:
+    """Noise models and the search under the last of them; of what is left beside its names nothing is asked yet."""
+
+    robust: RobustRows
+    searched: _Searched
+    others: Sequence[NoiseModel]
+    """Noise models that an explanation may have as well."""
+
+
+def noise_and_search(problem: Problem, known: Known, earlier: Parameters | None = None) -> Sought:
+    """The noise beside what is modelled, the search under it; then the noise beside the named effects too, and the search
     under that, in turn until the names stay.
 
     The noise is that of the model as it stands, never beside everything that might be there: some hundred columns can
@@ -268,8 +276,12 @@ def noise_and_answer(
         searched = _searched(problem, whitener_of(problem, choice.noise, choice.robust.weights), known, earlier)
         if {effect for effect, _ in searched[2][-1][0].chosen} == {effect for effect, _ in fit.chosen}:
             break
-    others = [] if choice is first else [first.noise]
-    return concluded(problem, choice.robust, _weighed(choice.robust, searched, dictionary, others))
+    return Sought(choice.robust, searched, [] if choice is first else [first.noise])
+
+
+def answered(problem: Problem, sought: Sought, dictionary: Dictionary) -> Answer:
+    """What a search says, where structure that is left is looked for with this dictionary."""
+    return concluded(problem, sought.robust, _weighed(sought.robust, sought.searched, dictionary, sought.others))
 
 
 def signals_of(shapes: Sequence[Finding]) -> list[Active]:

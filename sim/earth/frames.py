@@ -33,7 +33,7 @@ from fluxtwin.sim.base.types import FloatArray, TimeArray
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.earth.constants import EARTH_FLATTENING, EARTH_RADIUS_KM
 
-_GRID_DAYS = 0.125  # spline of X, Y, s on this grid: below 1e-11 rad, tested against the full series
+_GRID_DAYS = 0.125  # spline of the slow part on this grid: below 1e-11 rad, tested against the full series
 _J2000 = 2451545.0  # TT
 _MARGIN = 3  # nodes beyond each end, so that the end condition of the spline does not reach the data
 _REMEMBERED_ROWS = 50_000  # sixteen such series and their rotations are 30 MB
@@ -43,7 +43,7 @@ def rotation_EN(time: TimeArray | np.datetime64) -> Rotation:
     """GCRS to ITRS at each stamp. Batch of N.
 
     IAU 2006/2000A (ERFA xys06a, era00), UT1 = UTC, no polar motion. For more than a few hundred stamps the
-    slow part (X, Y, s) is splined on a three-hour grid.
+    slow part (all but the Earth's rotation) is splined on a three-hour grid.
     """
     stamps = epoch.as_times(time)
     return _of_stamps(stamps.tobytes()) if stamps.size <= _REMEMBERED_ROWS else _rotation_EN(stamps)
@@ -56,10 +56,11 @@ def _of_stamps(stamps: bytes) -> Rotation:
 
 
 def _rotation_EN(stamps: TimeArray) -> Rotation:
-    pole, angle = on_grid(_days_tt(stamps), _intermediate_pole, _GRID_DAYS), erfa.era00(*epoch.jd_ut1(stamps))
-    parts = [slice(first, first + _REMEMBERED_ROWS) for first in range(0, max(len(pole), 1), _REMEMBERED_ROWS)]
-    turns = (erfa.c2tcio(erfa.c2ixys(*pole[part].T), angle[part], np.eye(3)) for part in parts)
-    return Rotation.concatenate([Rotation.from_matrix(each) for each in turns])  # a matrix takes twice the room
+    """The slow part as quaternions: matrices would have to be made, and taken apart again, in every row."""
+    half = -0.5 * erfa.era00(*epoch.jd_ut1(stamps))
+    spin = np.stack([np.zeros_like(half), np.zeros_like(half), np.sin(half), np.cos(half)], axis=1)
+    slow = on_grid(_days_tt(stamps), _intermediate_pole, _GRID_DAYS)
+    return product(Rotation.from_quat(spin), Rotation.from_quat(slow))
 
 
 def rotation_TN(time: TimeArray | np.datetime64) -> Rotation:
@@ -243,7 +244,8 @@ def _days_tt(time: TimeArray | np.datetime64) -> FloatArray:
 
 
 def _intermediate_pole(days_tt: FloatArray) -> FloatArray:
-    return np.stack(erfa.xys06a(_J2000, days_tt), axis=1)
+    """(M, 4) quaternions, scalar last, of GCRS to the celestial intermediate frame: close to one, so their signs agree."""
+    return Rotation.from_matrix(erfa.c2ixys(*erfa.xys06a(_J2000, days_tt))).as_quat()
 
 
 def _equator_of_date(days_tt: FloatArray) -> FloatArray:

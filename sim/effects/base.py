@@ -162,15 +162,24 @@ class SignalEffect(Effect):
 
     after_noise: ClassVar[bool] = False
     """Whether it acts on readings that have their noise already, after everything else in its stage."""
+    adds: ClassVar[bool] = False
+    """Whether all it does is to add something to the reading, in proportion to its parameters, whatever the reading is."""
 
     @abstractmethod
     def apply(self, signal: Signal, theta: FloatArray) -> Signal:
         """The signal with the effect in it; theta = 0 is identity."""
 
-    def images(self, signal: Signal) -> FloatArray | None:
-        """(N, 3, p) what one unit of each parameter adds to the reading of a signal, where that is all the effect does;
-        None: only differences tell."""
-        return None
+    def images(self, signal: Signal, theta: FloatArray) -> FloatArray | None:
+        """(N, 3, p) derivative by its parameters, at theta, of the reading that it makes of a signal; None: only differences
+        tell."""
+        if not self.adds:
+            return None
+        units = np.eye(len(self.parameters))
+        return np.stack([self.apply(signal, unit).reading - signal.reading for unit in units], axis=-1)
+
+    def carried(self, signal: Signal, theta: FloatArray, images: FloatArray) -> FloatArray | None:
+        """What it makes, at theta, of small changes (N, 3, p) of a signal's reading; None: only differences tell."""
+        return images if self.adds else None
 
 
 @dataclass(frozen=True)

@@ -34,6 +34,7 @@ class Bias(SignalEffect):
     stage = "sensor"
     settled_by = "a slow tumble of 0.25 deg/s"
     equivalent_stages = ("spacecraft",)
+    adds = True
     about = "the bias b of A B0 = (I+S) B + b + T D (Lerner & Shuster 1981, eq. 1); + lowers the reading"
     parameters = vector_parameters("b", "nT", 100.0)
 
@@ -60,9 +61,20 @@ class ScaleMisalignment(SignalEffect):
     parameters = vector_parameters("S", "1", 0.01, -0.5, 0.5, axes=MATRIX)
 
     def apply(self, signal: Signal, theta: FloatArray) -> Signal:
-        nominal = np.eye(3) + signal.setting.instrument.S
-        change = np.asarray(np.linalg.solve(nominal + theta.reshape(3, 3), nominal), dtype=np.float64)
-        return signal.with_reading(mapped(change, signal.reading))
+        return signal.with_reading(mapped(self._change(signal.setting, theta), signal.reading))
+
+    def images(self, signal: Signal, theta: FloatArray) -> FloatArray:
+        inverse = np.linalg.inv(np.eye(3) + signal.setting.instrument.S + theta.reshape(3, 3))
+        images = np.einsum("ai,nj->naij", -inverse, self.apply(signal, theta).reading)
+        return np.asarray(images.reshape(signal.rows, 3, 9))
+
+    def carried(self, signal: Signal, theta: FloatArray, images: FloatArray) -> FloatArray:
+        return np.asarray(self._change(signal.setting, theta) @ images)
+
+    def _change(self, setting: Setting, theta: FloatArray) -> FloatArray:
+        """(3, 3) by which the reading is multiplied."""
+        nominal = np.eye(3) + setting.instrument.S
+        return np.asarray(np.linalg.solve(nominal + theta.reshape(3, 3), nominal), dtype=np.float64)
 
 
 @dataclass(frozen=True)
@@ -137,6 +149,7 @@ class BiasStep(Step):
         "the bias is b of eq. 1; + lowers the reading from then on "
         "(additive jump: Willsky & Jones 1976, doi 10.1109/TAC.1976.1101146)"
     )
+    adds = True
     grid, becomes = 31, "part of b"
     parameters = vector_parameters("b", "nT", 100.0)
 
@@ -178,6 +191,9 @@ class MountingStep(TurningStep):
         at_sensor = signal.at_sensor_B_nT
         turned = Rotation.from_rotvec(-self.turns_rad(signal.setting, theta)).apply(at_sensor)
         return signal.with_reading(signal.reading + in_reading(signal.setting, turned - at_sensor))
+
+    def carried(self, signal: Signal, theta: FloatArray, images: FloatArray) -> FloatArray:
+        return images
 
 
 @dataclass(frozen=True)
@@ -223,14 +239,22 @@ class LinearDrift(SignalEffect):
         days = elapsed_s(signal.setting, self.since) / 86400.0
         if self.of == "bias":
             return signal.with_reading(signal.reading - np.outer(days, in_reading(signal.setting, theta)))
-        return signal.with_reading(rescaled(signal, np.outer(days, theta)))
+        return signal.with_reading(rescaled(signal.setting, signal.reading, np.outer(days, theta)))
+
+    def carried(self, signal: Signal, theta: FloatArray, images: FloatArray) -> FloatArray:
+        if self.of == "bias":
+            return images
+        days = elapsed_s(signal.setting, self.since) / 86400.0
+        return rescaled(signal.setting, images, np.outer(days, theta))
 
 
-def rescaled(signal: Signal, change: FloatArray) -> FloatArray:
-    """(N, 3) the reading with the diagonal of S larger by `change` (N, 3): (I + S + diag)^-1 (I + S) times it."""
-    nominal = np.eye(3) + signal.setting.instrument.S
+def rescaled(setting: Setting, columns: FloatArray, change: FloatArray) -> FloatArray:
+    """Readings (N, 3), or changes of them (N, 3, p), with the diagonal of S larger by `change` (N, 3):
+    (I + S + diag)^-1 (I + S) times them."""
+    nominal = np.eye(3) + setting.instrument.S
     changed = nominal + change[:, :, None] * np.eye(3)
-    return np.asarray(np.linalg.solve(changed, mapped(nominal, signal.reading)[:, :, None])[:, :, 0])
+    wide = columns if columns.ndim == 3 else columns[:, :, None]
+    return np.asarray(np.linalg.solve(changed, nominal @ wide).reshape(columns.shape))
 
 
 @dataclass(frozen=True)

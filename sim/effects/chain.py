@@ -92,7 +92,7 @@ class Chain:
                 known, signal = [], effect.apply(signal, theta)
             if brief:
                 made.append((key, active, signal))
-        self._steps[number] = made
+        self._steps[number] = [*made, *known[len(made) :]]  # what comes after is as it was
         return signal
 
     def simulated(self, active: Sequence[Active], seed: int, noise_nT: FloatArray | None = None) -> Signal:
@@ -122,19 +122,34 @@ def jacobian(
 ) -> FloatArray:
     """(N, 3, p) derivative of the noise-free reading by the effect's parameters, in units per parameter unit.
 
-    Central differences of the whole chain with the default scale as step; one-sided where the range ends at zero. Of the
-    last effect in the chain that only adds its images they are these images. at: other effects that are on; theta: where to
-    differentiate (default zero: absent).
+    Its images as the effects after it in the chain carry them on; where one of these does not say how, central differences
+    of the whole chain with the default scale as step, one-sided where the range ends at zero. at: other effects that are on;
+    theta: where to differentiate (default zero: absent).
     """
     theta = np.zeros(len(effect.parameters)) if theta is None else theta
-    acting = [pair for pair in at if isinstance(pair[0], SignalEffect) and _on(pair[1])]
-    if in_order([*acting, (effect, theta)])[-1][1] is theta and (images := effect.images(chain.signal(at))) is not None:
+    images = _carried(chain, effect, at, theta)
+    if images is not None:
         return images
 
     def between(up: FloatArray, down: FloatArray) -> FloatArray:
         return chain.reading_nT([*at, (effect, up)]) - chain.reading_nT([*at, (effect, down)])
 
     return derivative(effect, theta, between)
+
+
+def _carried(chain: Chain, effect: SignalEffect, at: Sequence[Active], theta: FloatArray) -> FloatArray | None:
+    """`jacobian` along the chain; None where an effect does not say what becomes of small changes."""
+    acting = [pair for pair in at if isinstance(pair[0], SignalEffect) and _on(pair[1])]
+    images: FloatArray | None = None
+    ordered = in_order([*acting, (effect, theta)])
+    first = next(number for number, pair in enumerate(ordered) if pair[1] is theta)
+    for number, (one, size) in enumerate(ordered[first:], first):
+        assert isinstance(one, SignalEffect)
+        signal = chain.signal(ordered[:number])
+        images = one.images(signal, size) if images is None else one.carried(signal, size, images)
+        if images is None:
+            return None
+    return images
 
 
 def derivative(

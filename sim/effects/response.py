@@ -42,6 +42,17 @@ def products(reading_B_nT: FloatArray, degree: int) -> FloatArray:
     return np.stack(columns).T  # each product in one piece of memory: `mapped` then takes a third of the time
 
 
+def slopes(reading_B_nT: FloatArray, degree: int) -> FloatArray:
+    """(N, M, 3) derivatives of the `products` by the components, 1/nT."""
+    found = np.zeros((len(reading_B_nT), len(monomials(degree)), 3))
+    lower = products(reading_B_nT, degree - 1).T / STANDARD_FIELD_NT
+    for name, rest in zip(monomials(degree - 1), lower, strict=True):
+        for axis, letter in enumerate("xyz"):
+            whole = "".join(sorted(name + letter))
+            found[:, monomials(degree).index(whole), axis] = whole.count(letter) * rest
+    return found
+
+
 @dataclass(frozen=True)
 class Nonlinearity(SignalEffect):
     """Base of the curved responses: each axis gains a combination of products of `degree` components of the reading."""
@@ -55,9 +66,13 @@ class Nonlinearity(SignalEffect):
         terms = signal.products(self.degree, products)
         return signal.with_reading(signal.reading + mapped(theta.reshape(3, -1), terms))
 
-    def images(self, signal: Signal) -> FloatArray:
+    def images(self, signal: Signal, theta: FloatArray) -> FloatArray:
         terms = signal.products(self.degree, products)
         return np.asarray(np.einsum("nm,ac->nacm", terms, np.eye(3)).reshape(signal.rows, 3, -1))
+
+    def carried(self, signal: Signal, theta: FloatArray, images: FloatArray) -> FloatArray:
+        gain = np.einsum("am,nmc->nac", theta.reshape(3, -1), slopes(signal.reading, self.degree))
+        return np.asarray(images + gain @ images)
 
 
 def nonlinear_parameters(prefix: str, degree: int) -> tuple[Parameter, ...]:
@@ -119,6 +134,7 @@ class Hysteresis(SignalEffect):
     start: str = "ooo"
     """How each axis came to the first row: o as it goes on from there, r reversed, the other way; n neutral."""
 
+    adds = True
     parameters = vector_parameters("a", "nT", 50.0)
 
     def alternatives(self, setting: Setting) -> tuple[Hysteresis, ...]:
@@ -195,6 +211,13 @@ class SensorLag(SignalEffect):
             change = change * (np.arange(3) == "xyz".index(self.axis))
         return signal.with_reading(signal.reading + change)
 
+    def carried(self, signal: Signal, theta: FloatArray, images: FloatArray) -> FloatArray:
+        seconds, found = signal.setting.seconds, images.copy()
+        late = [self.axis in ("all", axis) for axis in "xyz"]
+        wide = images[:, late].reshape(signal.rows, -1)
+        found[:, late] = low_pass(seconds, wide, float(theta[0]), restarts(seconds)).reshape(signal.rows, sum(late), -1)
+        return found
+
 
 def _shifted_by_lag(signal: Signal, lag_s: float) -> FloatArray:
     """(N, 3) by how much a lag changes the ambient field's part of the reading."""
@@ -231,6 +254,9 @@ class AxisSkew(SignalEffect):
                 later = signal.of_ambient((self.name, float(later_s)), partial(_later, signal, float(later_s)))
                 change[:, axis] = later[:, axis]
         return signal.with_reading(signal.reading + change)
+
+    def carried(self, signal: Signal, theta: FloatArray, images: FloatArray) -> FloatArray:
+        return images
 
 
 def _later(signal: Signal, later_s: float) -> FloatArray:

@@ -72,6 +72,7 @@ class ThermalBiasDrift(ThermalEffect):
         "temperature coefficients: CryoSat-2, Olsen et al. 2020, doi 10.1186/s40623-020-01171-9; 0.1-10 nT/K "
         "fluxgates, more for magnetoresistors)"
     )
+    adds = True
     parameters = vector_parameters("b", "nT/K", 5.0)
 
     def apply(self, signal: Signal, theta: FloatArray) -> Signal:
@@ -93,7 +94,10 @@ class ThermalScaleDrift(ThermalEffect):
     parameters = vector_parameters("S", "1/K", 1e-4, -0.01, 0.01, axes=("xx", "yy", "zz"))
 
     def apply(self, signal: Signal, theta: FloatArray) -> Signal:
-        return signal.with_reading(rescaled(signal, np.outer(self.warmer_K(signal.setting), theta)))
+        return signal.with_reading(self.carried(signal, theta, signal.reading))
+
+    def carried(self, signal: Signal, theta: FloatArray, images: FloatArray) -> FloatArray:
+        return rescaled(signal.setting, images, np.outer(self.warmer_K(signal.setting), theta))
 
 
 @dataclass(frozen=True)
@@ -116,8 +120,17 @@ class CommonGainDrift(ThermalEffect):
     parameters = (Parameter("gain", "1/K", 1e-3, -0.02, 0.02),)
 
     def apply(self, signal: Signal, theta: FloatArray) -> Signal:
-        gain = 1.0 + float(theta[0]) * self.warmer_K(signal.setting)
-        return signal.with_reading(gain[:, None] * signal.reading)
+        return signal.with_reading(self._gain(signal.setting, theta)[:, None] * signal.reading)
+
+    def images(self, signal: Signal, theta: FloatArray) -> FloatArray:
+        return (self.warmer_K(signal.setting)[:, None] * signal.reading)[:, :, None]
+
+    def carried(self, signal: Signal, theta: FloatArray, images: FloatArray) -> FloatArray:
+        return self._gain(signal.setting, theta)[:, None, None] * images
+
+    def _gain(self, setting: Setting, theta: FloatArray) -> FloatArray:
+        """(N,)."""
+        return 1.0 + float(theta[0]) * self.warmer_K(setting)
 
 
 @dataclass(frozen=True)

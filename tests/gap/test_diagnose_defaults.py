@@ -16,8 +16,12 @@ from worlds import scenario_text
 import fluxtwin
 from fluxtwin.gap.diagnose import diagnose
 from fluxtwin.gap.held_out.held_out import predict_blocks
+from fluxtwin.gap.hypotheses.blocks import Block, blocks
+from fluxtwin.gap.hypotheses.candidates import PerturbedDesign
 from fluxtwin.gap.noise.whitening import NoiseModel, make_whitener
-from fluxtwin.gap.problem.problem import Budget, _velocity
+from fluxtwin.gap.posterior import explanations
+from fluxtwin.gap.posterior.structured import Structured
+from fluxtwin.gap.problem.problem import Budget, Problem, _velocity
 from fluxtwin.gap.problem.row_axes import turn_images
 from fluxtwin.gap.records.diagnosis import Diagnosis
 from fluxtwin.gap.report import words
@@ -118,6 +122,29 @@ def test_a_late_sensor_is_not_blamed_on_the_orbit_alone() -> None:
     assert found.verdict == "effect"
     assert "time_tag_offset" in found.effects[0].group
     assert [one.name for one in found.effects] in (["time_tag_offset"], ["sensor_lag"])
+
+
+def test_fewer_blocks_are_no_reason_to_search_again(record: Telemetry, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An attitude error that nobody declared makes some blocks of it: the search asked nothing of them."""
+    half = record.select(slice(None, None, 2))
+    line_nT = 150.0 * np.outer(np.cos(0.0233 * 20.0 * np.arange(len(half))), [0.6, -0.5, 0.62])
+    structured = half.replace(mag_B_nT=half.mag_B_nT + line_nT)
+    begin = explanations.begin
+    searches: list[object] = []
+    asked_for: list[object] = []
+
+    def fewer(problem: Problem, perturbed: PerturbedDesign | None = None) -> tuple[Block, ...]:
+        asked_for.append(problem)
+        return blocks(problem, perturbed)[len(asked_for) - 1 :]
+
+    monkeypatch.setattr(explanations, "begin", lambda *args, **given: searches.append(args) or begin(*args, **given))
+    monkeypatch.setattr(Structured, "_one_more", lambda self, answer: None)
+    found = asked(structured)
+    usual, searches[:] = len(searches), []
+    monkeypatch.setattr("fluxtwin.gap.diagnose.blocks", fewer)
+    assert asked(structured).verdict == found.verdict == "unknown"
+    assert len(asked_for) == 2
+    assert len(searches) == usual
 
 
 def test_what_is_declared_is_not_said_to_be_found(declared: Diagnosis) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,7 @@ from fluxtwin.sim.earth.orbit import Orbit
 from fluxtwin.sim.effects.base import DistributionEffect, SignalEffect
 from fluxtwin.sim.effects.calibration import BiasRandomWalk, BiasStep
 from fluxtwin.sim.effects.catalogue import CATALOGUE, find_effect
-from fluxtwin.sim.effects.chain import Chain, derivative, jacobian
+from fluxtwin.sim.effects.chain import Active, Chain, jacobian
 from fluxtwin.sim.effects.digits import BitErrors, CoarseQuantization, ExcessNoise
 from fluxtwin.sim.effects.region import depth_deg, outline_deg
 from fluxtwin.sim.effects.response import Saturation
@@ -175,24 +175,87 @@ def test_the_rate_of_the_field_along_the_orbit_needs_no_attitude(full: Chain, mo
     assert np.array_equal(setting.rates(0.25)[1], (fields[0] - fields[1]) / 2.0)
 
 
-@pytest.mark.parametrize("name", ["quadratic_nonlinearity", "cubic_nonlinearity"])
-def test_what_acts_last_and_only_adds_is_not_differenced(
-    name: str, full: Chain, close: Callable[..., None], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    effect, hysteresis, lag = (find_effect(one) for one in (name, "hysteresis", "sensor_lag"))
-    assert isinstance(effect, SignalEffect)
-    theta, before = np.linspace(-90.0, 90.0, len(effect.parameters)), (hysteresis, np.array([40.0, -20.0, 60.0]))
+def differences(chain: Chain, effect: SignalEffect, at: Sequence[Active], theta: FloatArray) -> FloatArray:
+    """(N, 3, p) derivative of the reading by central differences over a hundredth of the typical sizes."""
+    columns = []
+    for step in 0.01 * np.diag([parameter.scale for parameter in effect.parameters]):
+        up, down = (chain.reading_nT([*at, (effect, theta + sign * step)]) for sign in (1.0, -1.0))
+        columns.append((up - down) / (2.0 * step.sum()))
+    return np.stack(columns, axis=-1)
 
-    def between(up: FloatArray, down: FloatArray) -> FloatArray:
-        return full.reading_nT([before, (effect, up)]) - full.reading_nT([before, (effect, down)])
 
-    expected, asked, reading = derivative(effect, theta, between), [], Chain.reading_nT
+@pytest.fixture
+def asked(monkeypatch: pytest.MonkeyPatch) -> list[Sequence[Active]]:
+    """What readings are asked of chains."""
+    asked: list[Sequence[Active]] = []
+    reading = Chain.reading_nT
     monkeypatch.setattr(Chain, "reading_nT", lambda chain, active: asked.append(active) or reading(chain, active))
-    close(jacobian(full, effect, [before], theta), expected, atol=1e-8, unit="1", because="rounding over 50 nT")
+    return asked
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "bias",
+        "scale_misalignment",
+        "thermal_bias_drift",
+        "common_gain_drift",
+        "bias_step",
+        "hysteresis",
+        "quadratic_nonlinearity",
+        "cubic_nonlinearity",
+    ],
+)
+def test_what_acts_on_the_reading_is_not_differenced(name: str, full: Chain, asked: list[Sequence[Active]]) -> None:
+    effect, before = find_effect(name), (find_effect("stray_field"), np.linspace(-50.0, 90.0, 9))
+    assert isinstance(effect, SignalEffect)
+    theta = 0.9 * np.linspace(-1.0, 2.0, len(effect.parameters)) * [one.scale for one in effect.parameters]
+    images = jacobian(full, effect, [before], theta)
     assert not asked
-    late = jacobian(full, effect, [before, (lag, np.array([20.0]))], theta)
-    assert len(asked) == 2 * len(theta)
-    assert np.abs(late - expected).max() > 1e-3  # the lag smooths what is added too
+    expected = differences(full, effect, [before], theta)
+    np.testing.assert_allclose(images, expected, rtol=0.0, atol=1e-6 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize(
+    ("name", "settings", "size"),
+    [
+        ("scale_misalignment", {}, 0.03),
+        ("thermal_bias_drift", {}, 5.0),
+        ("thermal_scale_drift", {}, 1e-3),
+        ("common_gain_drift", {}, 2e-3),
+        ("linear_drift", {"of": "bias"}, 4000.0),
+        ("linear_drift", {"of": "scale"}, 0.2),
+        ("mounting_step", {}, 3.0),
+        ("bias_step", {}, 100.0),
+        ("hysteresis", {}, 50.0),
+        ("quadratic_nonlinearity", {}, 800.0),
+        ("cubic_nonlinearity", {}, 800.0),
+        ("sensor_lag", {}, 20.0),
+        ("sensor_lag", {"axis": "y"}, 20.0),
+        ("axis_skew", {}, 5.0),
+    ],
+)
+def test_the_effects_of_the_sensor_carry_on_what_acts_before_them(
+    name: str, settings: dict[str, Any], size: float, full: Chain, asked: list[Sequence[Active]]
+) -> None:
+    """Small changes of scale and alignment (of the bias, before those) come out as differences have them."""
+    later = dataclasses.replace(find_effect(name), **settings)
+    first = find_effect("bias" if name == "scale_misalignment" else "scale_misalignment")
+    assert isinstance(later, SignalEffect)
+    assert isinstance(first, SignalEffect)
+    after = (later, size * np.linspace(0.4, 1.0, len(later.parameters)))
+    theta = np.linspace(-1.0, 2.0, len(first.parameters)) * [one.scale for one in first.parameters]
+    images = jacobian(full, first, [after], theta)
+    assert not asked
+    expected = differences(full, first, [after], theta)
+    np.testing.assert_allclose(images, expected, rtol=0.0, atol=1e-6 * np.abs(expected).max())
+
+
+def test_what_a_clip_makes_of_small_changes_only_differences_tell(full: Chain, asked: list[Sequence[Active]]) -> None:
+    bias = find_effect("bias")
+    assert isinstance(bias, SignalEffect)
+    assert jacobian(full, bias, [(Saturation(), np.array([2000.0]))]).shape == (800, 3, 3)
+    assert len(asked) == 6
 
 
 def test_untestable_effects_say_why(bare: Chain) -> None:

@@ -18,6 +18,7 @@ from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.telemetry.column_map_draft_header import FILLS, Header, fill_values, headers_of
 from fluxtwin.sim.telemetry.column_map_draft_time import falls, recipe
 from fluxtwin.sim.telemetry.column_map_words import POSITIONS, canonical
+from fluxtwin.sim.telemetry.columns import TORQUER
 from fluxtwin.sim.telemetry.formats.catalogue import READ, format_of
 from fluxtwin.sim.telemetry.quantities import BY_MAP_NAME
 
@@ -73,7 +74,7 @@ _FRAME_WORDS = {
 }
 """Frame by the words that a name may have; the first that fits counts."""
 _KINDS = (
-    ("dipole", re.compile(r"^(?!.*(pct|percent|duty|pwm)).*(dipole|mtq|torquer|mag_?(rod|torq))")),
+    ("dipole", re.compile(rf"^(?!.*(pct|percent|duty|pwm)).*(dipole|{TORQUER})")),
     ("mag", re.compile(r"mag|fgm|tam|field|fluxgate|compass|mtm|mgm|hmc|rm3100|lis3mdl|bmm|mmc5")),
     ("rate", re.compile(r"rate|gyr|omega|ang_?vel")),
     ("velocity", re.compile(r"vel|(gps|gnss|orb|sc|sat|eci|ecef)v(_|$)")),
@@ -247,7 +248,8 @@ def _file(header: Header, *, named: bool, seen: set[str], by_size: bool) -> tupl
             continue
         seen.add(quantity)
         here[quantity] = columns
-        lines += [*(f"{CONFIRM} {text}" for text in doubts), f"{quantity} = {{ {inner} }}"]
+        marked = [f"{CONFIRM} {text}" for text in doubts]
+        lines += [*(line for line in marked if line not in lines), f"{quantity} = {{ {inner} }}"]
         used |= set(columns)
     rest = [
         name if name in header.values else f"{name} (not all numbers{header.odd.get(name, '')})"
@@ -409,7 +411,8 @@ def _current(header: Header, name: str) -> _Found:
         return "array_current", [name], {"unit": unit}, [f"{name}: the unit, and that it is the solar array's"]
     keys: dict[str, object] = {"unit": stated.replace("ma", "mA").replace("a", "A")} if stated in ("ma", "a") else {}
     plain = re.sub(r"[^a-z0-9]+", "_", low).strip("_").removeprefix("driver_")
-    return f"driver_{plain}", [name], keys, []
+    doubt = 'that torquers stay drivers; three of them make a dipole, with unit = "Am2" and scale = Am2 per unit'
+    return f"driver_{plain}", [name], keys, [doubt] if re.search(TORQUER, low) else []
 
 
 def _with_fills(header: Header, one: _Found) -> _Found:
@@ -539,6 +542,10 @@ def _vector(header: Header, quantity: str, columns: list[str]) -> _Found:
             counts = ", counts by their name: then add scale and offset" if _COUNTS.search(columns[0]) else counts
             why = f"median size {size:.4g}{counts}"
             doubts.append(f"{quantity}: the unit ({why})")
+        if quantity == "dipole" and _CURRENT.search(re.sub(r"[^a-z0-9]+", "_", columns[0].lower())):
+            doubts.append(
+                f"dipole: if {', '.join(columns)} are currents, scale = {keys['unit']} per unit (turns times area)"
+            )
     if quantity in ("position", "velocity"):
         frame = _frame(_stem(columns))
         by_receiver = re.search(r"gps|gnss", " ".join([header.sheet or header.path.stem, *columns]).lower())

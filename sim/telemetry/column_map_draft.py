@@ -17,7 +17,7 @@ from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.telemetry.column_map_draft_header import FILLS, Header, fill_values, headers_of
 from fluxtwin.sim.telemetry.column_map_draft_time import falls, recipe
-from fluxtwin.sim.telemetry.column_map_words import POSITIONS, canonical
+from fluxtwin.sim.telemetry.column_map_words import FRAMES, POSITIONS, canonical
 from fluxtwin.sim.telemetry.columns import TORQUER
 from fluxtwin.sim.telemetry.formats.catalogue import READ, format_of
 from fluxtwin.sim.telemetry.quantities import BY_MAP_NAME
@@ -83,7 +83,7 @@ _KINDS = (
     ("mag", re.compile(r"(^|_)b(_|$)")),
     ("velocity", re.compile(r"(^|_)v(_|$)")),
     ("rate", re.compile(r"(^|_)w(_|$)")),
-    ("position", re.compile(r"pos|ecef|eci|(^|_)r(_|$)|orb|gps|gnss")),
+    ("position", re.compile(r"pos|ecef|eci|teme|itr[fs]|gcr[fs]|j2000|(^|_)r(_|$)|orb|gps|gnss")),
 )
 """What the name of three columns without their axes says; the first that fits counts."""
 _LIKELY = (
@@ -114,6 +114,7 @@ _SUNLIT = re.compile(r"sun_?(lit|light|flag|presen)|in_sun|illum|(?P<shadow>ecli
 _CURRENT = re.compile(
     r"curr|(^|_)cur(_|$)|(?<!st)amp(s|ere)?(_|$)|^i_?(sa|sol|bat|load|bus)|(^|_)i_|_i(_|$)|_m?a$|duty|pwm|pct|percent|heater|load|(^|_)on(_|$)|enabled"
 )
+_WHICH_FRAME = "the frame (GCRS J2000 true_of_date ITRS; `fluxtwin check` says which fits)"
 _COUNTS = re.compile(r"cnt|count|adc|(^|_)raw(_|$)", re.IGNORECASE)
 _MOST_A = 30.0
 """More than a small spacecraft has in one wire: then it is in mA."""
@@ -304,6 +305,14 @@ def _quantities(header: Header, free: list[str], *, by_size: bool) -> list[_Foun
             out.append((quantity, columns, keys, [f"{quantity}: that {said}", *doubts]))
     if not any(one[0] == "position" for one in out):
         out += _place(header, ours)
+    place = next((keys["frame"] for quantity, _, keys, _ in out if quantity == "position"), None)
+    for quantity, _, keys, doubts in out:
+        if (
+            quantity == "velocity"
+            and canonical(str(place)) in FRAMES
+            and any(_WHICH_FRAME in doubt for doubt in doubts)
+        ):
+            keys["frame"] = place  # one source, one frame
     out = [_with_fills(header, one) for one in out]
     taken = {name for _, columns, _, _ in out for name in columns}
     wheels = [name for name in free if name not in taken and _WHEEL.search(name.lower()) and _is_number(header, name)]
@@ -552,7 +561,7 @@ def _vector(header: Header, quantity: str, columns: list[str]) -> _Found:
         frame = frame if frame in POSITIONS or canonical(str(frame)) in POSITIONS else None
         keys["frame"] = frame or ("ITRS" if by_receiver else "GCRS")
         if frame is None:
-            doubts.append(f"{quantity}: the frame (GCRS J2000 true_of_date ITRS)")
+            doubts.append(f"{quantity}: {_WHICH_FRAME}")
     return quantity, columns, dict(keys), doubts
 
 

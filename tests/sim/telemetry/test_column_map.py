@@ -443,3 +443,11 @@ def test_no_torquers_are_seen_where_the_dipole_is_there(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text(f"time,{names}\n{row}\n", encoding="utf-8")
     said = read_telemetry(tmp_path / "a.csv").provenance["notices"]
     assert "mtq_on" in said and "look like torquers" not in said
+
+
+def test_a_velocity_of_no_stated_frame_is_drafted_in_that_of_the_position(tmp_path: Path) -> None:
+    rows = [f"{1.456e9 + k},2e4,{k},-3e4,7e3,{k},1.0,0.1,7.5,{k / 50.0}" for k in range(60)]
+    for stem, frame in (("gps", "ITRS"), ("r", "GCRS"), ("teme", "TEME")):
+        names = f"gps_time,mag_x,mag_y,mag_z,{stem}_x,{stem}_y,{stem}_z,vx,vy,vz"
+        (tmp_path / "a.csv").write_text("\n".join([names, *rows, ""]), encoding="utf-8")
+        assert len(re.findall(f'frame = "{frame}"', draft([tmp_path / "a.csv"]))) == 2, stem

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypedDict, Unpack
@@ -103,6 +103,7 @@ def diagnose(
     *,
     scenario: Scenario | Path | str | None = None,
     modelled: Sequence[str] | None = None,
+    said: Callable[[str], None] = lambda line: None,
     progress: Progress = usual,
     **options: Unpack[AssumedAndReading],
 ) -> Diagnosis:
@@ -111,6 +112,7 @@ def diagnose(
     scenario: gives field model, starting S, b, T, the noise budget and effects that are applied as they are.
     modelled: names of the effects that are estimated anew in every test, these and no others; None: bias and
     scale_misalignment, and, of corrected readings, what else their calibration has estimated.
+    said: takes a line for each trap of `check` that voids the answer, as soon as it is found.
 
     A number given below overrides the scenario's; what neither gives is found in the data. Raises BadInput and NoAnswer
     with one message each.
@@ -135,7 +137,10 @@ def diagnose(
     budget = budget_of(config, known, declared)
     traps = input_warnings.traps(record, model)
     # What voids the answer is said while it is looked for; a range that is too small may be the answer.
-    codes = dict.fromkeys(trap.code for trap in traps if trap.code != "saturated")
+    voids = [trap for trap in traps if trap.code != "saturated"]
+    for trap in voids:
+        said(f"{words.FIRST}: {trap.text.removesuffix('.')}. The diagnosis goes on all the same")
+    codes = dict.fromkeys(trap.code for trap in voids)
     first = f"{words.FIRST} ({', '.join(codes)}): " if codes else ""
     try:
         found = investigate_record(

@@ -86,11 +86,16 @@ class TimeRecipe(Strict):
             raise ValueError(
                 "unit_s has a positive number of seconds, 1e-12 to 1e9, for each column of a recipe that counts"
             )
-        if len(self.names) != wanted and not (self.recipe in ("iso", "text") and self.names):
+        if self.recipe == time_stamps.YEAR:
+            if not 1 <= len(self.names) <= 2:
+                raise ValueError(
+                    "recipe year takes a column of decimal years, or two of the year and the day of the year"
+                )
+        elif len(self.names) != wanted and not (self.recipe in ("iso", "text") and self.names):
             raise ValueError(f"recipe {self.recipe} takes {wanted} column{'s' if wanted > 1 else ''}")
         if counted is not None and counted.scale == "GPS" and self.scale not in (None, "GPS"):
             raise ValueError(f"recipe {self.recipe} counts GPS time")
-        if self.invalid and counted is None:
+        if self.invalid and self.recipe in time_stamps.TEXT:
             raise ValueError(f"recipe {self.recipe} takes no invalid: only numbers do")
         for key, owner, given in (("epoch", "seconds_since", self.epoch), ("format", "text", self.format)):
             if (self.recipe == owner) != (given is not None):

@@ -17,7 +17,8 @@ from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.telemetry.column_map_draft_header import FILLS, Header, fill_values, headers_of
 from fluxtwin.sim.telemetry.column_map_draft_time import falls, recipe
-from fluxtwin.sim.telemetry.column_map_words import POSITIONS, canonical
+from fluxtwin.sim.telemetry.column_map_words import FRAMES, POSITIONS, canonical
+from fluxtwin.sim.telemetry.columns import TORQUER
 from fluxtwin.sim.telemetry.formats.catalogue import READ, format_of
 from fluxtwin.sim.telemetry.quantities import BY_MAP_NAME
 
@@ -73,7 +74,7 @@ _FRAME_WORDS = {
 }
 """Frame by the words that a name may have; the first that fits counts."""
 _KINDS = (
-    ("dipole", re.compile(r"^(?!.*(pct|percent|duty|pwm)).*(dipole|mtq|torquer|mag_?(rod|torq))")),
+    ("dipole", re.compile(rf"^(?!.*(pct|percent|duty|pwm)).*(dipole|{TORQUER})")),
     ("mag", re.compile(r"mag|fgm|tam|field|fluxgate|compass|mtm|mgm|hmc|rm3100|lis3mdl|bmm|mmc5")),
     ("rate", re.compile(r"rate|gyr|omega|ang_?vel")),
     ("velocity", re.compile(r"vel|(gps|gnss|orb|sc|sat|eci|ecef)v(_|$)")),
@@ -82,7 +83,7 @@ _KINDS = (
     ("mag", re.compile(r"(^|_)b(_|$)")),
     ("velocity", re.compile(r"(^|_)v(_|$)")),
     ("rate", re.compile(r"(^|_)w(_|$)")),
-    ("position", re.compile(r"pos|ecef|eci|(^|_)r(_|$)|orb|gps|gnss")),
+    ("position", re.compile(r"pos|ecef|eci|teme|itr[fs]|gcr[fs]|j2000|(^|_)r(_|$)|orb|gps|gnss")),
 )
 """What the name of three columns without their axes says; the first that fits counts."""
 _LIKELY = (
@@ -113,6 +114,7 @@ _SUNLIT = re.compile(r"sun_?(lit|light|flag|presen)|in_sun|illum|(?P<shadow>ecli
 _CURRENT = re.compile(
     r"curr|(^|_)cur(_|$)|(?<!st)amp(s|ere)?(_|$)|^i_?(sa|sol|bat|load|bus)|(^|_)i_|_i(_|$)|_m?a$|duty|pwm|pct|percent|heater|load|(^|_)on(_|$)|enabled"
 )
+_WHICH_FRAME = "the frame (GCRS J2000 true_of_date ITRS; `fluxtwin check` says which fits)"
 _COUNTS = re.compile(r"cnt|count|adc|(^|_)raw(_|$)", re.IGNORECASE)
 _MOST_A = 30.0
 """More than a small spacecraft has in one wire: then it is in mA."""
@@ -247,7 +249,8 @@ def _file(header: Header, *, named: bool, seen: set[str], by_size: bool) -> tupl
             continue
         seen.add(quantity)
         here[quantity] = columns
-        lines += [*(f"{CONFIRM} {text}" for text in doubts), f"{quantity} = {{ {inner} }}"]
+        marked = [f"{CONFIRM} {text}" for text in doubts]
+        lines += [*(line for line in marked if line not in lines), f"{quantity} = {{ {inner} }}"]
         used |= set(columns)
     rest = [
         name if name in header.values else f"{name} (not all numbers{header.odd.get(name, '')})"
@@ -302,6 +305,14 @@ def _quantities(header: Header, free: list[str], *, by_size: bool) -> list[_Foun
             out.append((quantity, columns, keys, [f"{quantity}: that {said}", *doubts]))
     if not any(one[0] == "position" for one in out):
         out += _place(header, ours)
+    place = next((keys["frame"] for quantity, _, keys, _ in out if quantity == "position"), None)
+    for quantity, _, keys, doubts in out:
+        if (
+            quantity == "velocity"
+            and canonical(str(place)) in FRAMES
+            and any(_WHICH_FRAME in doubt for doubt in doubts)
+        ):
+            keys["frame"] = place  # one source, one frame
     out = [_with_fills(header, one) for one in out]
     taken = {name for _, columns, _, _ in out for name in columns}
     wheels = [name for name in free if name not in taken and _WHEEL.search(name.lower()) and _is_number(header, name)]
@@ -409,7 +420,8 @@ def _current(header: Header, name: str) -> _Found:
         return "array_current", [name], {"unit": unit}, [f"{name}: the unit, and that it is the solar array's"]
     keys: dict[str, object] = {"unit": stated.replace("ma", "mA").replace("a", "A")} if stated in ("ma", "a") else {}
     plain = re.sub(r"[^a-z0-9]+", "_", low).strip("_").removeprefix("driver_")
-    return f"driver_{plain}", [name], keys, []
+    doubt = 'that torquers stay drivers; three of them make a dipole, with unit = "Am2" and scale = Am2 per unit'
+    return f"driver_{plain}", [name], keys, [doubt] if re.search(TORQUER, low) else []
 
 
 def _with_fills(header: Header, one: _Found) -> _Found:
@@ -539,13 +551,17 @@ def _vector(header: Header, quantity: str, columns: list[str]) -> _Found:
             counts = ", counts by their name: then add scale and offset" if _COUNTS.search(columns[0]) else counts
             why = f"median size {size:.4g}{counts}"
             doubts.append(f"{quantity}: the unit ({why})")
+        if quantity == "dipole" and _CURRENT.search(re.sub(r"[^a-z0-9]+", "_", columns[0].lower())):
+            doubts.append(
+                f"dipole: if {', '.join(columns)} are currents, scale = {keys['unit']} per unit (turns times area)"
+            )
     if quantity in ("position", "velocity"):
         frame = _frame(_stem(columns))
         by_receiver = re.search(r"gps|gnss", " ".join([header.sheet or header.path.stem, *columns]).lower())
         frame = frame if frame in POSITIONS or canonical(str(frame)) in POSITIONS else None
         keys["frame"] = frame or ("ITRS" if by_receiver else "GCRS")
         if frame is None:
-            doubts.append(f"{quantity}: the frame (GCRS J2000 true_of_date ITRS)")
+            doubts.append(f"{quantity}: {_WHICH_FRAME}")
     return quantity, columns, dict(keys), doubts
 
 

@@ -15,7 +15,7 @@ from fluxtwin.sim.base.limits import MAX_SAMPLES
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.telemetry.column_map_values import LIST_BYTES, from_lists
 from fluxtwin.sim.telemetry.columns import TRUTHS, clip
-from fluxtwin.sim.telemetry.csv_files import CsvFile, open_csv
+from fluxtwin.sim.telemetry.csv_files import open_csv
 from fluxtwin.sim.telemetry.formats.catalogue import format_of, table_of
 from fluxtwin.sim.telemetry.netcdf_files import NetcdfFile
 from fluxtwin.sim.telemetry.telemetry_files import refuse_toml
@@ -79,23 +79,7 @@ def header_of(path: Path, sheet: str | None = None) -> Header:
     found = Header(path, list(csv.names), rows=csv.rows)
     for name in csv.names:
         _look(found, name, csv.text(name, width=LIST_BYTES))
-    if not found.values and csv.rows > 1:
-        _require_numbers(found, csv)
     return found
-
-
-def _require_numbers(found: Header, csv: CsvFile) -> None:
-    """Raises BadInput where only the first row keeps the columns from being numbers, as a row of units does."""
-    below = Header(found.path, found.names)
-    for name in found.names:
-        _look(below, name, csv.text(name, width=LIST_BYTES)[1:])
-    if below.values:
-        words = ", ".join(csv.text(name)[0].decode("utf-8", "replace") for name in found.names)
-        raise BadInput(
-            f"the row below the header has words where the others have numbers: {clip(words)}",
-            where=str(found.path),
-            wanted="a file without that row; units may be part of the names, as mag_x_nT",
-        )
 
 
 def _look(header: Header, name: str, text: np.ndarray) -> None:

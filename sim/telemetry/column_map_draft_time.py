@@ -18,7 +18,7 @@ from fluxtwin.sim.telemetry.column_map_draft_header import Header
 from fluxtwin.sim.telemetry.time_stamps import unix_of_size
 
 _LIKELY = re.compile(
-    r"time|date|utc|tai|stamp|epoch|unix|zeit|^t($|\W|_)|^ts|sec|week|tow|sow|clock|sclk|obt|t_?tag|(^|_)(met|jd|sod|et)(_|$)",
+    r"time|date|utc|tai|stamp|epoch|unix|zeit|year|jahr|(^|_)yr|^t($|\W|_)|^ts|sec|week|tow|sow|clock|sclk|obt|t_?tag|(^|_)(met|jd|sod|et)(_|$)",
     re.IGNORECASE,
 )
 _WEEK = re.compile(r"week|(^|_)sem(_|$)|(^|_)(gps_?)?(wn|wno|wk)(_|$)|(^|_)gpsw(_|$)", re.IGNORECASE)
@@ -88,7 +88,8 @@ def recipe(header: Header) -> _Found:
         names, form, doubt = written
         return _recipe("text", names, doubt, format=form)
     numbers = {name: value for name, value in header.values.items() if value.ndim == 1 and np.isfinite(value).any()}
-    found = _weeks(numbers) or _stated(numbers) or _unix(numbers) or _days(numbers) or _counted(numbers)
+    found = _weeks(numbers) or _stated(numbers) or _unix(numbers) or _days(numbers) or _years(numbers, header.texts)
+    found = found or _counted(numbers)
     if found is None:
         raise BadInput(
             f"no column looks like time; the columns are: {', '.join(header.names[:12])}",
@@ -148,6 +149,30 @@ def _days(numbers: Mapping[str, FloatArray]) -> _Found | None:
         for how, first, last, of in _DAYS:
             if first <= float(np.nanmedian(value)) < last:
                 return _recipe(how, [name], f"{name} looks like days {of}; that they are UTC is a guess")
+    return None
+
+
+def _years(numbers: Mapping[str, FloatArray], texts: Mapping[str, Sequence[str]]) -> _Found | None:
+    """Decimal years by their size, as `_days`; or the year and a day of the year."""
+    within = {n: v for n, v in numbers.items() if np.nanmin(v) >= 1957.0 and np.nanmax(v) < 2200.0}  # the space age
+    for name, value in within.items():
+        step = np.diff(value[np.isfinite(value)])
+        if _LIKELY.search(name) and step.size and _runs(value) and np.median(step) < _FASTEST_S / 365.0:
+            decimals = max((len(cell.partition(".")[2]) for cell in texts.get(name, ())), default=0)
+            digits = f" (its last digit is {10.0**-decimals * 365.0 * 86400.0:.1g} s)" if decimals else ""
+            doubt = (
+                f"{name} looks like decimal years{digits}; that they are UTC, and parts of 365 or 366 days, is a guess"
+            )
+            return _recipe("year", [name], doubt)
+    years = [name for name in within if re.fullmatch(_CALENDAR["%Y"], name, re.IGNORECASE)]
+    for name, value in numbers.items():
+        if (
+            years
+            and re.fullmatch(_CALENDAR["%j"], name, re.IGNORECASE)
+            and np.nanmin(value) >= 1.0
+            and np.any(value % 1.0)
+        ):
+            return _recipe("year", [years[0], name], f"that {name} is 1.0 where the year begins, and UTC")
     return None
 
 

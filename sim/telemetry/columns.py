@@ -30,6 +30,8 @@ from fluxtwin.sim.telemetry.quantities import (
 )
 from fluxtwin.sim.telemetry.record import Origin, Telemetry, plain_text
 
+TORQUER = r"mtq|torquer|mag_?(rod|torq)"
+"""What names of torquers contain, in small letters."""
 WHEEL = re.compile(r"wheel_([1-9][0-9]?)_speed_rpm")
 _WHEEL_NO_UNIT = re.compile(r"wheel_[1-9][0-9]?_speed(_rad_s|_rps|_Hz)?", re.IGNORECASE)
 _UNIT_LIKE = re.compile(
@@ -88,12 +90,19 @@ class Resolution:
 
     @property
     def notices(self) -> list[str]:
-        """One sentence on the columns left out, if any."""
+        """A sentence on the columns left out, if any, and one on torquers among them."""
         if not self.unknown:
             return []
         more = f" and {len(self.unknown) - 8} more" if len(self.unknown) > 8 else ""
         shown = ", ".join(clip(name) or "one without a name" for name in self.unknown[:8])
-        return [f"columns of other names were left out (call one driver_NAME to test its field): {shown}{more}"]
+        said = [f"columns of other names were left out (call one driver_NAME to test its field): {shown}{more}"]
+        torquers = [clip(name) for name in self.unknown if re.search(TORQUER, name.lower())]
+        if torquers and "dipole_B_Am2" not in self.found:
+            said.append(
+                f"{', '.join(torquers[:3])} look like torquers, whose field follows their dipole (dipole_x_Am2 ...): a "
+                "column map makes it of currents or duty cycles, as dipole with scale = Am2 per unit"
+            )
+        return said
 
 
 def resolve(names: Iterable[str], where: str, described: Mapping[str, str] | None = None) -> Resolution:

@@ -55,6 +55,8 @@ _CHECKS = re.compile(r"row_crc32_v(\d{1,4})")
 _CRC_BYTES = len(",01234567")
 _MISSING = ["", "NaN", "nan", "NAN"]
 _NUMBER = re.compile(r"\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*")
+_BEGINS = re.compile(r"[+-]?\.?\d")
+"""How numbers and stamps begin."""
 _STAMP = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(\.(\d{3}){1,3})?Z")
 """A stamp as `format_iso` writes it."""
 _ROWS_AT_ONCE = 50_000
@@ -199,6 +201,7 @@ def open_csv(path: Path | str, *, max_samples: int = MAX_SAMPLES) -> CsvFile:
     if b'"' in body:
         mark, body = _OF_QUOTED, _without_quotes(body, where)
     rows = _checked_rows(body, mark, len(names), max_samples, where)
+    _require_no_units(body, mark, where)
     return CsvFile(where, names, mark, body, rows, digest, tuple(notices))
 
 
@@ -382,6 +385,20 @@ def _checked_rows(body: bytes, mark: bytes, width: int, max_samples: int, where:
         what = "is blank" if blank else f"has {amount(found, 'field|fields')}, the header has {width}"
         raise BadInput(f"row {row + 1} {what}", where=where, wanted="as many fields in every row as in the header")
     return int(ends.size)
+
+
+def _require_no_units(body: bytes, mark: bytes, where: str) -> None:
+    """Raises BadInput for words below the header where the next row has numbers, as a row of units."""
+    first, second = ([cell.decode("utf-8").strip() for cell in row.split(mark)] for row in body.split(b"\n", 2)[:2])
+    if any(map(_BEGINS.match, first)) or all(
+        _is_number(word) or not _BEGINS.match(number) for word, number in zip(first, second, strict=False)
+    ):
+        return
+    raise BadInput(
+        f"the row below the header has words where the others have numbers: {clip(', '.join(first))}",
+        where=where,
+        wanted="a file without that row; units may be part of the names, as mag_x_nT",
+    )
 
 
 def _without_quotes(body: bytes, where: str) -> bytes:

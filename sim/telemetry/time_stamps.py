@@ -185,12 +185,16 @@ COUNTED: dict[str, Counted] = {
 }
 _DAY_OF_ORIGIN = {"jd": 2_400_000.0, "datenum": 719_529.0}
 """Days of counts that begin before the stamps do, at their origin above: 1858-11-16T12:00 and 1970-01-01."""
-NAMES = (*TEXT, *COUNTED)
+YEAR = "year"
+"""The recipe that counts years, which are not of one length."""
+NAMES = (*TEXT, YEAR, *COUNTED)
 _SPACE_AGE, _LATEST = np.datetime64("1957-10-04", "ns"), np.datetime64(f"{_LAST_YEAR}-01-01", "ns")
 
 
 def stamps_of_counts(raw: FloatArray, recipe: TimeRecipe) -> TimeArray:
     """UTC stamps (N,) of the counts (N, k), the columns of `recipe`; NaN and what is far beyond any mission become NaT."""
+    if recipe.recipe == YEAR:
+        return epoch.utc_of(_in_years(raw), recipe.scale or "UTC")
     how = COUNTED[recipe.recipe]
     parts = raw - _DAY_OF_ORIGIN.get(recipe.recipe, 0.0)
     scale, units_s = recipe.scale or how.scale, tuple(recipe.unit_s or how.units_s)
@@ -201,6 +205,21 @@ def stamps_of_counts(raw: FloatArray, recipe: TimeRecipe) -> TimeArray:
         return epoch.utc_of(_added(origin, parts, units_s), scale)
     in_tai = epoch.stamp_in(origin, "TAI")[0]  # SI seconds since a UTC instant, leap seconds counted
     return epoch.utc_of(_added(in_tai, parts, units_s), "TAI")
+
+
+def _in_years(raw: FloatArray) -> TimeArray:
+    """Stamps (N,) of decimal years (N, 1), or of years and days of the year, which begin with 1 (N, 2)."""
+    year = np.floor(raw[:, 0])
+    good = np.isfinite(raw).all(axis=1) & (year >= _FIRST_YEAR) & (year <= _LAST_YEAR)
+    years = np.where(good, year - 1970.0, 0.0).astype("int64").astype("datetime64[Y]")
+    begins, ends = years.astype("datetime64[ns]"), (years + 1).astype("datetime64[ns]")
+    passed_ns = (raw[:, 0] - year) * (ends - begins).astype("int64")
+    if raw.shape[1] == 2:
+        passed_ns = (raw[:, 1] - 1.0) * (_DAY * 1e9)
+        good &= (raw[:, 1] >= 1.0) & (raw[:, 1] < 367.0)
+    out: TimeArray = begins + np.rint(np.where(good, passed_ns, 0.0)).astype("int64").astype("timedelta64[ns]")
+    out[~good] = _NAT
+    return out
 
 
 def beyond(first: FloatArray, recipe: TimeRecipe) -> str:

@@ -432,6 +432,7 @@ def test_a_wrong_unit_is_to_be_corrected_before_anything_is_flown(late: Case, cl
     result = cli("diagnose", tmp_path / "unit.csv", "--html", page, "--json", tmp_path / "unit.json")
     said, shown = " ".join(result.out.split()), page.read_text(encoding="utf-8")
     assert said.startswith("First correct the file as fluxtwin check says")
+    assert "note: First correct the file as fluxtwin check says: " in result.err
     for untrue in ("fluxtwin plan", "Where:", "law", "The gap, rms", "Untestable", "estimated from these data"):
         assert untrue not in said, untrue
     assert shown.index("First correct the file") < shown.index('id="gap_series"')
@@ -449,10 +450,13 @@ def test_a_wrong_file_is_never_without_a_gap() -> None:
     for wrong in (-record.mag_B_nT, record.mag_B_nT[:, [1, 0, 2]]):
         steps: list[str] = []
         flipped = record.replace(mag_B_nT=wrong)
-        found = fluxtwin.diagnose(flipped, progress=lambda words, share, into=steps: into.append(words))
+        found = fluxtwin.diagnose(
+            flipped, said=steps.append, progress=lambda words, share, into=steps: into.append(words)
+        )
         assert found.verdict == "unknown"
-        code = fluxtwin.check(flipped).traps[0].code
-        assert steps and all(f"First correct the file as fluxtwin check says ({code})" in words for words in steps)
+        trap = fluxtwin.check(flipped).traps[0]
+        assert steps[0].startswith(f"First correct the file as fluxtwin check says: {trap.text.removesuffix('.')}")
+        assert steps[1:] and all(f"as fluxtwin check says ({trap.code})" in words for words in steps[1:])
     with pytest.raises(fluxtwin.NoAnswer, match=r"^First correct the file as fluxtwin check says"):
         fluxtwin.diagnose(record.replace(mag_B_nT=record.mag_B_nT * 1e9))
 

@@ -18,6 +18,7 @@ from fluxtwin.sim.earth import frames
 from fluxtwin.sim.earth.field import load_field
 from fluxtwin.sim.earth.orbit import Orbit
 from fluxtwin.sim.telemetry.column_map import load_column_map, packaged_layouts
+from fluxtwin.sim.telemetry.column_map_draft import draft
 from fluxtwin.sim.telemetry.column_map_merge import _along_orbit
 from fluxtwin.sim.telemetry.record import Telemetry
 from fluxtwin.sim.telemetry.telemetry_files import read_telemetry
@@ -412,3 +413,41 @@ def test_a_condition_on_a_vector_is_refused(tmp_path: Path) -> None:
     (tmp_path / "m.toml").write_text(text, encoding="utf-8")
     with pytest.raises(BadInput, match="mag_B_nT has 3 components"):
         read_telemetry(dataset, column_map=tmp_path / "m.toml")
+
+
+@pytest.mark.parametrize("names", ["i_mtq_x,i_mtq_y,i_mtq_z", "torquer_duty_x,torquer_duty_y,torquer_duty_z"])
+def test_currents_of_torquers_are_told_how_they_become_a_dipole(tmp_path: Path, names: str) -> None:
+    """0.4 A m2 per ampere, or at full duty."""
+    share = np.sin(np.arange(60.0))[:, None] * [1.0, 0.5, 0.2]
+    rows = [
+        f"2026-03-01T00:00:{k:02d}Z,2e4,{k},-3e4,{','.join(map(repr, one.tolist()))}" for k, one in enumerate(share)
+    ]
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join([f"time,mag_x_nT,mag_y_nT,mag_z_nT,{names}", *rows, ""]), encoding="utf-8")
+    said = read_telemetry(path).provenance["notices"]
+    assert f"{names.replace(',', ', ')} look like torquers" in said and "scale = Am2 per unit" in said
+    text = draft([path])
+    assert text.count("scale = Am2 per unit") == 1
+    plain = [line for line in text.splitlines() if "driver_" not in line and not line.startswith("dipole")]
+    listed = ", ".join(f'"{name}"' for name in names.split(","))
+    plain += [f'dipole = {{ from = [{listed}], unit = "Am2", scale = 0.4 }}']
+    (tmp_path / "m.toml").write_text("\n".join(plain) + "\n", encoding="utf-8")
+    found = read_telemetry(path, column_map=tmp_path / "m.toml")
+    assert found.dipole_B_Am2 == pytest.approx(0.4 * share)
+    assert "look like torquers" not in found.provenance.get("notices", "")
+
+
+def test_no_torquers_are_seen_where_the_dipole_is_there(tmp_path: Path) -> None:
+    row = "2026-03-01T00:00:00Z,2e4,1,-3e4,0.1,0.1,0.1,1"
+    names = "mag_x_nT,mag_y_nT,mag_z_nT,dipole_x_Am2,dipole_y_Am2,dipole_z_Am2,mtq_on"
+    (tmp_path / "a.csv").write_text(f"time,{names}\n{row}\n", encoding="utf-8")
+    said = read_telemetry(tmp_path / "a.csv").provenance["notices"]
+    assert "mtq_on" in said and "look like torquers" not in said
+
+
+def test_a_velocity_of_no_stated_frame_is_drafted_in_that_of_the_position(tmp_path: Path) -> None:
+    rows = [f"{1.456e9 + k},2e4,{k},-3e4,7e3,{k},1.0,0.1,7.5,{k / 50.0}" for k in range(60)]
+    for stem, frame in (("gps", "ITRS"), ("r", "GCRS"), ("teme", "TEME")):
+        names = f"gps_time,mag_x,mag_y,mag_z,{stem}_x,{stem}_y,{stem}_z,vx,vy,vz"
+        (tmp_path / "a.csv").write_text("\n".join([names, *rows, ""]), encoding="utf-8")
+        assert len(re.findall(f'frame = "{frame}"', draft([tmp_path / "a.csv"]))) == 2, stem

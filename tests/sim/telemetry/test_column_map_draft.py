@@ -534,9 +534,13 @@ def test_bare_names_of_a_unit_norm_are_a_quaternion_and_a_place_has_fill_values(
 
 def test_a_row_of_units_below_the_header_is_named(tmp_path: Path) -> None:
     path = tmp_path / "t.csv"
-    path.write_text("t,Bx,By,Bz\nUTC,uT,uT,uT\n2026-03-01 00:00:00,20.1,3.2,-30.5\n2026-03-01 00:00:10,20,3,-30\n")
-    with pytest.raises(BadInput, match="row below the header has words where the others have numbers: UTC, uT"):
-        draft([path])
+    rows = ["2026-03-01 00:00:00,20.1,3.2,-30.5,1", "2026-03-01 00:00:10,20,3,-30,0", ""]
+    path.write_text("\n".join(["t,Bx,By,Bz,flag", *rows]), encoding="utf-8")
+    (tmp_path / "m.toml").write_text(draft([path]), encoding="utf-8")
+    path.write_text("\n".join(["t,Bx,By,Bz,flag", "UTC,uT,uT,uT,", *rows]), encoding="utf-8")
+    for reads in (lambda: draft([path]), lambda: read_telemetry(path, column_map=tmp_path / "m.toml")):
+        with pytest.raises(BadInput, match="row below the header has words where the others have numbers: UTC, uT"):
+            reads()
 
 
 def test_a_number_that_only_looks_like_a_fill_value_is_none(tmp_path: Path) -> None:

@@ -298,7 +298,7 @@ FAULTS: dict[str, tuple[Callable[[list[str]], list[str]], str]] = {
         lambda x: [s.replace(",", ";").replace("7168.1", '"7168.1"') for s in x],
         "it has quotes",
     ),
-    "a row of units": (lambda x: [x[0], "UTC" + ",km" * x[0].count(","), *x[1:]], "in every row below the header"),
+    "a row of units": (lambda x: [x[0], "UTC" + ",km" * x[0].count(","), *x[1:]], "a file without that row"),
     "Unix time": (lambda x: [x[0], "1770696000" + x[1][x[1].index(",") :], *x[2:]], "`fluxtwin map` drafts one"),
     "no such year": (lambda x: [s.replace("1978-", "1826-") for s in x], "of a day that exists and a year from 1900"),
     "metres": (lambda x: [s.replace("7168.1", "7168100.0") for s in x], "positions look like metres"),

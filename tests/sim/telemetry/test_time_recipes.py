@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import calendar
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from astropy.time import Time
 import fluxtwin
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.telemetry import time_stamps
+from fluxtwin.sim.telemetry.column_map_draft import draft
 
 pytestmark = pytest.mark.reference
 STAMPS = np.array(
@@ -94,6 +96,57 @@ def test_unix_time_and_days_count_no_leap_seconds(tmp_path: Path, name: str) -> 
     recipe, values, limit = PLAIN[name]
     found = read(tmp_path, recipe, values, [str(n % 10**9) for n in UNIX])
     assert np.abs(found - STAMPS).max() <= NANOSECOND * limit
+
+
+def test_years_are_as_long_as_the_calendar_has_them(tmp_path: Path) -> None:
+    years, days, passed = list[int](), list[str](), list[str]()
+    for stamp in pd.DatetimeIndex(STAMPS):
+        day = stamp.day_of_year + (stamp - stamp.normalize()) / pd.Timedelta(days=1)
+        years.append(stamp.year)
+        days.append(repr(float(day)))
+        passed.append(repr(float(stamp.year + (day - 1.0) / (366 if calendar.isleap(stamp.year) else 365))))
+    # The limits are a unit of doubles near 2000 years and 366 days.
+    for recipe, first, limit in (('recipe = "year"', passed, 7200), ('recipe = "year" BOTH', years, 5)):
+        found = read(tmp_path, recipe, first, days)
+        assert np.abs(found - STAMPS).max() <= NANOSECOND * limit, recipe
+
+
+def drafted(folder: Path, **columns: list[str]) -> str:
+    """The map that is drafted for a file with these columns and a field, which `read` reads."""
+    rows = [",".join([*columns, "mag_x,mag_y,mag_z"])]
+    rows += [",".join([*cells, "20000,20000,20000"]) for cells in zip(*columns.values(), strict=True)]
+    (folder / "a.csv").write_text("\n".join([*rows, ""]), encoding="utf-8")
+    (folder / "m.toml").write_text(text := draft([folder / "a.csv"]), encoding="utf-8")
+    return text
+
+
+def test_years_are_known_by_their_size(tmp_path: Path) -> None:
+    """Noon of 2024-05-16, day 137 of a year of 366 days."""
+    days = [137.5 + k / 8640.0 for k in range(9)]
+    right = np.datetime64("2024-05-16T12:00:00", "ns") + np.arange(9) * np.timedelta64(10, "s")
+    for columns, said in (
+        ({"epoch": [f"{2024.0 + (one - 1.0) / 366.0:.9f}" for one in days]}, "its last digit is 0.03 s"),
+        ({"year": ["2024"] * 9, "doy": [f"{one:.8f}" for one in days]}, "that doy is 1.0 where the year begins"),
+    ):
+        text = drafted(tmp_path, **columns)
+        assert 'recipe = "year"' in text and said in text
+        found = fluxtwin.read(tmp_path / "a.csv", column_map=tmp_path / "m.toml").time
+        assert np.abs(found - right).max() < np.timedelta64(16, "ms")  # half of the last digit
+
+
+def test_seconds_since_a_start_are_no_years(tmp_path: Path) -> None:
+    """A log of 200 Hz, 2000 s after the start: as years, a reading every other day."""
+    assert 'recipe = "seconds_since"' in drafted(tmp_path, time=[f"{2000.0 + k / 200.0:.3f}" for k in range(9)])
+
+
+def test_a_year_that_is_none_is_refused(tmp_path: Path) -> None:
+    for recipe, first, second in (
+        ('recipe = "year"', 60000.5, 1),
+        ('recipe = "year" BOTH', 2024, 0.5),
+        ('recipe = "year" BOTH', 24, 60.5),
+    ):
+        with pytest.raises(BadInput, match="far beyond any mission as year"):
+            read(tmp_path, recipe, [first], [second])
 
 
 def test_stamps_far_beyond_any_mission_are_answered_with_the_recipe_that_fits(tmp_path: Path) -> None:

@@ -65,7 +65,8 @@ _DATES = (
     "%d-%b-%Y",
     "%d %b %Y",
 )
-_TIMES = ("%H:%M:%S.%f", "%H:%M:%S", "%I:%M:%S %p", "%I:%M:%S.%f %p")  # the last two: of a 12-hour clock
+_TIMES = ("%H:%M:%S.%f", "%H:%M:%S", "%I:%M:%S %p", "%I:%M:%S.%f %p", "%H:%M", "%I:%M %p")
+"""With %I: of a 12-hour clock."""
 _ENDS = ("", "Z", " %z", "%z")
 _BETWEEN = (" ", "T", "-", "_", ":", "/")
 _FASTEST_S = 0.01  # between readings; as days it would be a quarter of an hour
@@ -213,7 +214,7 @@ def text_format(texts: Mapping[str, Sequence[str]]) -> tuple[list[str], str, str
         found = [form for form in forms if _fits(cells, form)]
         if found:
             found.sort(key=lambda form: "%p" in form and not form.startswith("%m"))  # both are usual in America only
-            return [name], found[0], _doubt(found)
+            return [name], found[0], _doubt(found) + _lost(cells, found[0])
     for one, other in itertools.permutations(texts, 2):
         dates = [form for form in _DATES if _fits(texts[one], form)]
         times = [f"{form}{end}" for form in _TIMES for end in _ENDS if _fits(texts[other], f"{form}{end}")]
@@ -247,6 +248,12 @@ def _doubt(found: Sequence[str]) -> str:
         else ', taken as UTC (of local times: zone = "Europe/Berlin" or "+02:00")'
     )
     return f"the format of the stamps{zone}{rivals}"
+
+
+def _lost(cells: Sequence[str], form: str) -> str:
+    """Words where stamps to the minute repeat."""
+    lost = "%M" in form and "%S" not in form and len(set(cells)) < len(cells)
+    return "; the stamps repeat: their seconds are lost (a spreadsheet saves what it shows)" if lost else ""
 
 
 def _fits(cells: Sequence[str], form: str) -> bool:

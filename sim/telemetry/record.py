@@ -412,7 +412,8 @@ def _check_time(time: TimeArray) -> None:
             f"time does not increase: row {row + 1} is {time[row]}, row {row + 2} is {time[row + 1]}"
             f" ({amount(backwards.size, 'such step|such steps')})",
             where="time",
-            wanted="strictly increasing UTC; `fluxtwin check FILE --repair OUT` sorts and drops exact duplicates",
+            wanted="strictly increasing UTC; `fluxtwin check FILE --repair OUT` sorts and drops exact duplicates, as "
+            'sort_values("time").drop_duplicates() in pandas',
         )
 
 

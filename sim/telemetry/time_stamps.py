@@ -212,7 +212,7 @@ def _in_years(raw: FloatArray) -> TimeArray:
     year = np.floor(raw[:, 0])
     good = np.isfinite(raw).all(axis=1) & (year >= _FIRST_YEAR) & (year <= _LAST_YEAR)
     years = np.where(good, year - 1970.0, 0.0).astype("int64").astype("datetime64[Y]")
-    begins, ends = years.astype("datetime64[ns]"), (years + 1).astype("datetime64[ns]")
+    begins, ends = years.astype("datetime64[ns]"), (years + np.timedelta64(1, "Y")).astype("datetime64[ns]")
     passed_ns = (raw[:, 0] - year) * (ends - begins).astype("int64")
     if raw.shape[1] == 2:
         passed_ns = (raw[:, 1] - 1.0) * (_DAY * 1e9)

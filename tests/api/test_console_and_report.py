@@ -7,7 +7,9 @@ import hashlib
 import html.parser
 import io
 import json
+import os
 import re
+import subprocess
 import sys
 import time
 from pathlib import Path
@@ -260,3 +262,14 @@ def test_a_figure_is_never_so_narrow_that_its_text_is_below_nine_pixels(size_pt:
     page = render_report(Page("t", "v", sections=[PageSection("s", figures=[FigureBlock("one", "c", figure)])]))
     (width,) = re.findall(r'style="min-width:(\d+)px"', page)
     assert 9.0 < size_pt * (int(width) - 2) / (5 * 72) < 9.3  # px: points of the figure at that width, less its frame
+
+
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+def test_a_note_is_read_while_the_work_goes_on(unbuffered: str) -> None:
+    """The process ends as if it were killed: what is not written by then is lost."""
+    work = (
+        "import os; from fluxtwin import console; console.heed_no_reader(); console.Output().note('soon'); os._exit(0)"
+    )
+    environment = {**os.environ, "PYTHONUNBUFFERED": unbuffered}
+    done = subprocess.run([sys.executable, "-c", work], env=environment, capture_output=True, text=True, check=True)
+    assert done.stderr == "soon\n"

@@ -450,3 +450,12 @@ def test_without_pandas_a_csv_is_read_and_the_rest_says_what_to_install(
     assert len(fluxtwin.read(fluxtwin.write(record, tmp_path / "t.csv"))) == len(record)
     with pytest.raises(BadInput, match=r"the package pandas is needed.*fluxtwin\[pandas\]"):
         record.to_pandas()
+
+
+def test_rows_of_a_frame_that_are_out_of_order_are_told_how_pandas_sorts_them() -> None:
+    stamps = pd.date_range("2026-03-01", periods=4, freq="10s", tz="UTC")
+    plain = pd.DataFrame({"time": stamps, "mag_x_nT": 2e4, "mag_y_nT": [1.0, 2.0, 3.0, 4.0], "mag_z_nT": 3e4})
+    frame = pd.concat([plain.iloc[::-1], plain.iloc[:1]])
+    with pytest.raises(BadInput, match=r'sort_values\("time"\)\.drop_duplicates\(\) in pandas'):
+        fluxtwin.read(frame)
+    assert fluxtwin.read(frame.sort_values("time").drop_duplicates()).mag_B_nT[:, 1].tolist() == [1.0, 2.0, 3.0, 4.0]

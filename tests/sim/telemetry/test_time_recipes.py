@@ -134,6 +134,16 @@ def test_years_are_known_by_their_size(tmp_path: Path) -> None:
         assert np.abs(found - right).max() < np.timedelta64(16, "ms")  # half of the last digit
 
 
+def test_stamps_whose_seconds_a_spreadsheet_has_lost_are_told_so(tmp_path: Path) -> None:
+    minutes = [f"13/03/2026 01:{k:02d}" for k in range(9)]
+    text = drafted(tmp_path, time=minutes)
+    assert 'format = "%d/%m/%Y %H:%M"' in text and "seconds are lost" not in text
+    found = fluxtwin.read(tmp_path / "a.csv", column_map=tmp_path / "m.toml").time
+    assert np.array_equal(found, np.datetime64("2026-03-13T01:00", "ns") + np.arange(9) * np.timedelta64(1, "m"))
+    assert "seconds are lost" in drafted(tmp_path, time=sorted(2 * minutes))
+    assert 'format = "%m/%d/%Y %I:%M %p"' in drafted(tmp_path, time=["03/13/2026 01:00 PM", "03/13/2026 01:01 PM"])
+
+
 def test_seconds_since_a_start_are_no_years(tmp_path: Path) -> None:
     """A log of 200 Hz, 2000 s after the start: as years, a reading every other day."""
     assert 'recipe = "seconds_since"' in drafted(tmp_path, time=[f"{2000.0 + k / 200.0:.3f}" for k in range(9)])

@@ -217,6 +217,9 @@ def solve(
             damping *= 10.0
     for _ in range(_ADJUSTMENTS if adjusted and converged else 0):
         step = -solve_scaled(now.information, now.score - now.shared)
+        if not _proper(p + step, data):
+            converged = False  # no cost bounds these steps: where columns hardly show, they may run away
+            break
         p = p + step
         now = add_up(p, data, a)
         rounds += 1

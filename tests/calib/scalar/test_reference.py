@@ -16,6 +16,7 @@ from scipy.optimize import least_squares, root
 from scipy.optimize._numdiff import approx_derivative
 
 from fluxtwin.calib.common.conventions import PAIRS
+from fluxtwin.calib.scalar import model
 from fluxtwin.calib.scalar.calibrate import calibrate_scalar
 from fluxtwin.calib.scalar.model import ScalarData, pack, solve, unpack
 from fluxtwin.calib.scalar.twostep import Twostep, center, moments_of, twostep
@@ -193,3 +194,16 @@ def test_one_zone_of_elfin_is_refused(shared: Path, parameters: str) -> None:
         assert "plane with normal body direction (0." in str(refusal.value)
         if parameters == "b,S":
             assert "S11" in refusal.value.evidence["parameters"]
+
+
+def test_an_adjustment_that_runs_away_ends_the_search(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its steps have no cost that bounds them: the last place that a magnetometer can have is kept, and is no answer."""
+    data = rows(6)
+    start = pack(np.zeros((3, 3)), center(data), data)
+    plain = solve(start, data, adjusted=False)
+    assert plain.converged
+    usual = model.solve_scaled
+    monkeypatch.setattr(model, "solve_scaled", lambda *given: usual(*given) if len(given) > 2 else np.full(9, np.inf))
+    found = solve(start, data)
+    assert not found.converged
+    assert np.array_equal(found.p, plain.p)

@@ -389,7 +389,8 @@ def _checked_rows(body: bytes, mark: bytes, width: int, max_samples: int, where:
 
 def _require_no_units(body: bytes, mark: bytes, where: str) -> None:
     """Raises BadInput for words below the header where the next row has numbers, as a row of units."""
-    first, second = ([cell.decode("utf-8").strip() for cell in row.split(mark)] for row in body.split(b"\n", 2)[:2])
+    rows = io.BytesIO(body)  # shares the bytes, where splitting them would copy the file
+    first, second = ([cell.decode("utf-8").strip() for cell in rows.readline().split(mark)] for _ in range(2))
     if any(map(_BEGINS.match, first)) or all(
         _is_number(word) or not _BEGINS.match(number) for word, number in zip(first, second, strict=False)
     ):

@@ -162,7 +162,7 @@ class Output:
         """One line beside the result, on standard error; the same line only once, and none with --quiet."""
         if not manners.quiet and text not in self._noted:
             self._noted.add(text)
-            print(clean(text), file=sys.stderr, flush=True)  # at once, also where Python itself is told not to buffer
+            print(clean(text), file=sys.stderr, flush=True)  # with PYTHONUNBUFFERED a line end does not do it
 
     def table(self, title: str, columns: Sequence[str], rows: Sequence[Sequence[object]], note: str = "") -> None:
         """A table under its title, as wide as the terminal; where there is none, only long sentences wrap."""

@@ -84,8 +84,9 @@ def command(
             wanted = "a file of these rows alone (fluxtwin convert), or --scenario"
             raise BadInput("the scenario would replay the whole file", where="--close", wanted=wanted)
         record = of.read(telemetry[0], output, reading)
-        said = lambda line: output.note(f"note: {line}")  # noqa: E731
-        diagnosis = diagnosing.diagnose(record, scenario=scenario, said=said, progress=progress, **asked)
+        diagnosis = diagnosing.diagnose(
+            record, scenario=scenario, said=lambda line: output.note(f"note: {line}"), progress=progress, **asked
+        )
         scene = None
         if close is not None:
             declared = diagnosing.Declared(*assumed)

@@ -7,7 +7,7 @@ next. Its noise is chosen anew, with only that fit as design: slow structure cou
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -69,10 +69,7 @@ def independent_frequencies(seconds: FloatArray) -> float:
 
 def line_columns(seconds: FloatArray, frequency_Hz: float) -> FloatArray:
     """(N, 3, 6) cosine and sine in each axis: columns x cos, y cos, z cos, x sin, y sin, z sin."""
-    return _waves(2 * np.pi * frequency_Hz * seconds)
-
-
-def _waves(phase_rad: FloatArray) -> FloatArray:
+    phase_rad = 2 * np.pi * frequency_Hz * seconds
     return in_body(np.stack([np.cos(phase_rad), np.sin(phase_rad)], axis=1))
 
 
@@ -149,18 +146,10 @@ def _of_the_orbit(setting: Setting, frequency_Hz: float) -> bool:
     return abs(cycles - float(np.clip(np.rint(cycles), 1.0, 4.0))) < 1.0 / orbits
 
 
-def companion(setting: Setting, left: ProjectedResidual, line: Line, effect: Effect) -> bool:
-    """Whether a line is a multiple, or a half or a third, of the turning of a wheel that has been named.
-
-    The rotor of a wheel has more poles than two, and its motor and bearings turn in fixed ratios to it: such a line is
-    no second wheel. It is one if the wheel's phase, multiplied, leaves nothing of it.
-    """
-    phase = effect.phase_rad(setting) if isinstance(effect, WheelField) else None
-    if phase is None or line.worth <= THRESHOLD:
-        return False
-    columns = line_columns(setting.seconds, line.frequency_Hz)
-    ratios = (2.0, 3.0, 4.0, 5.0, 6.0, 0.5, 1.0 / 3.0)
-    return not all(stands_out(left, _waves(ratio * phase), columns) for ratio in ratios)
+def multiples(setting: Setting, effects: Iterable[Effect]) -> FloatArray:
+    """(N, 3, k) lines that the wheels among effects may have besides their own: none of them is a second wheel."""
+    found = [one.multiples(setting) for one in effects if isinstance(one, WheelField)]
+    return np.concatenate([np.zeros((setting.seconds.size, 3, 0)), *found], axis=2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,9 +179,10 @@ def full_rate(
     near = _stretch(whole, problem, modelled, chosen)
     residual = near.residual_of([*modelled, *chosen])
     fitted = near.derivatives([*modelled, *chosen])
+    signals = [effect for effect, _ in (*modelled, *chosen)]
     noise, robust = noise_of(near, residual, [fitted])
     whitener = whitener_of(near, noise, robust.weights)
-    left = projected(whitener, residual, fitted)
+    left = projected(whitener, residual, np.concatenate([fitted, multiples(near.setting, signals)], axis=2))
     line = strongest_line(near.setting.seconds, left)
     return FullRate(near, robust, whitener, residual, fitted, left, line)
 

@@ -46,6 +46,8 @@ class Structure:
     frame: str | None = None
     rank: int = 0
     log_tried: float = 0.0
+    of_named: bool = False
+    """Whether it is one more waveform of a cause that is named: no other one need be there."""
 
     @property
     def structured(self) -> bool:

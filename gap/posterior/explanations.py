@@ -16,6 +16,7 @@ import numpy as np
 from scipy.special import softmax
 
 from fluxtwin.gap.detectors.finding import Finding
+from fluxtwin.gap.detectors.lines import multiples
 from fluxtwin.gap.detectors.residual_structure import Structure, judge
 from fluxtwin.gap.hypotheses.blocks import Dictionary
 from fluxtwin.gap.hypotheses.candidates import Candidate
@@ -199,7 +200,7 @@ def weighed(
         shaped = names + worth_of_shape(seen, explained[place], alone=whole)
         worth = max(shaped, names + gained[place]) - gained[0]
         unknown = -np.inf
-        if left.structured and left.beyond(wider, samples) > LOG_FURTHER:
+        if left.structured and not left.of_named and left.beyond(wider, samples) > LOG_FURTHER:
             unknown = shaped + left.beyond(wider, samples) - LOG_FURTHER - gained[0]
         found.append(Explanation(fit, beside, left, worth, unknown))
     return found
@@ -298,18 +299,26 @@ def structures_left(under_way: Search[Readings], fits: Sequence[Fit], dictionary
     """The structure that each fit leaves, beyond the image at nothing of its effects.
 
     The image of a large effect at its size and that at nothing differ by what its size changes and by errors of the
-    attitude in both: structure along that difference is the same cause once more.
+    attitude in both: structure along that difference is the same cause once more. A line that is a multiple of a fitted
+    wheel's turning is looked beyond.
     """
-    rests = []
+    problem, whitener = under_way.channel.problem, under_way.channel.whitener
+    images, owns = [], []
     for fit in fits:
         chosen = [effect for effect, _ in fit.chosen]
         numbers = [number for number, candidate in enumerate(under_way.found) if candidate.effect in chosen]
         at_nothing = under_way.white[:, :, np.isin(under_way.first.owner, numbers)]
-        images = np.concatenate([fit.jacobian, at_nothing], axis=2)
-        rests.append(projected_white(under_way.channel.whitener, fit.residual, images))
-    owns = [fit.jacobian[:, :, fit.jacobian.shape[2] - sum(len(theta) for _, theta in fit.chosen) :] for fit in fits]
-    problem = under_way.channel.problem
-    return [judge(problem, *one, 1.0) for one in zip(rests, dictionary.fits_each(rests), owns, strict=True)]
+        images.append(np.concatenate([fit.jacobian, at_nothing], axis=2))
+        owns.append(fit.jacobian[:, :, fit.jacobian.shape[2] - sum(len(theta) for _, theta in fit.chosen) :])
+    rests = [projected_white(whitener, fit.residual, image) for fit, image in zip(fits, images, strict=True)]
+    lefts = [judge(problem, *one, 1.0) for one in zip(rests, dictionary.fits_each(rests), owns, strict=True)]
+    for place, (fit, image, own) in enumerate(zip(fits, images, owns, strict=True)):
+        lines = multiples(problem.setting, [effect for effect, _ in fit.active])
+        if lefts[place].kind == "tone" and lines.size:
+            rest = projected_white(whitener, fit.residual, np.concatenate([image, whitener.apply(lines)], axis=2))
+            past = judge(problem, rest, dictionary.fits(rest), own, 1.0)
+            lefts[place] = past if past.structured else replace(lefts[place], of_named=True)
+    return lefts
 
 
 def _beside(problem: Problem, signals: Sequence[Active]) -> Problem:

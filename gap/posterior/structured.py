@@ -18,9 +18,9 @@ from scipy.special import expit
 from fluxtwin.gap.detectors.finding import Finding, fitted
 from fluxtwin.gap.detectors.lines import (
     FullRate,
-    companion,
     independent_frequencies,
     line_near,
+    multiples,
     strongest_line,
     wheel_line,
 )
@@ -93,7 +93,7 @@ class Structured:
         named = answer.result.named
         walks = any(one.name == _WALK for one in answer.shapes) or any(_WALK in one.group for one in named)
         walks = walks or _WALK in self.problem.ruled_out
-        if answer.left.structured:
+        if answer.left.structured and not answer.left.of_named:
             for bare in (True, False) if named and answer.known < 0.5 else (False,):
                 finding = self._signal(answer, bare=bare)
                 if finding is not None:
@@ -110,7 +110,10 @@ class Structured:
         if bare:
             residual, columns = result.residual_alone_nT, without_names(self.problem, answer)
             left = residual_structure(self.problem, whitener, residual, columns, self.dictionary)
-        proposed = self._proposed(whitener, residual, columns, left, () if bare else result.chosen)
+        else:
+            wheels = [effect for effect, _ in (*signals_of(answer.shapes), *result.chosen)]
+            columns = np.concatenate([columns, multiples(self.problem.setting, wheels)], axis=2)
+        proposed = self._proposed(whitener, residual, columns, left)
         return next((one for one in proposed if one is not None and one.confirmed), None)
 
     def _merged(self, answer: Answer) -> Answer:
@@ -165,15 +168,11 @@ class Structured:
         residual_nT: FloatArray,
         fitted_nT: FloatArray,
         left: Structure,
-        chosen: Sequence[Active],
     ) -> Iterator[Finding | None]:
-        """A line whose waveform a residual (N, 3) has, then a region and a thermostat, that of more worth first.
-
-        chosen: named effects; a companion of a named wheel's line is that wheel once more.
-        """
+        """A line whose waveform a residual (N, 3) has, then a region and a thermostat, that of more worth first."""
         setting, rest = self.problem.setting, projected(whitener, residual_nT, fitted_nT)
         line, fits = strongest_line(setting.seconds, rest), self.dictionary.fits(rest)
-        if left.kind == "tone" and not any(companion(setting, rest, line, one) for one, _ in chosen):
+        if left.kind == "tone":
             yield wheel_line(setting, rest, line, fits)
         switched = [switched_region(self.problem, rest, fits)]
         if setting.column("heater_on") is None:

@@ -232,7 +232,7 @@ def _conclude(work: Work) -> _Conclusion:
         outliers = Excess("telemetry", "; ".join([work.stuck, *([] if outliers is None else [outliers.words])]))
     beyond = None if unexplained or effects else excess or outliers
     verdict = "unknown" if unexplained or beyond is not None else "effect" if effects or fault is not None else "no_gap"
-    incomplete = (bool(named) and answer.left.structured) or momentum.incomplete
+    incomplete = (answer.left.structured and bool(named or answer.left.of_named)) or momentum.incomplete
     incomplete = incomplete or (verdict == "effect" and excess is not None)
     about = (bool(already), excess, outliers, beyond, incomplete, posterior)
     return _Conclusion(verdict, named, shapes, effects, fault, *about)
@@ -253,7 +253,7 @@ def _sentence(work: Work, found: _Conclusion, where: Place, gap: Shrinkage, rese
         only_outliers = found.beyond is not None and found.beyond is found.outliers
         apart = f" {words.APART_FROM_THEM}" if only_outliers else ""
         return f"{words.unexplained(what, where, resembles)}{apart}"
-    remains = words.SHAPE_INCOMPLETE if found.excess is None else found.excess.words
+    remains = words.remains(work.answer.left) if found.excess is None else found.excess.words
     outlying = None if found.outliers is None else found.outliers.words
     own = any(find_effect(name).stage in OWN_STAGES for one in found.effects for name in one.group)
     said = words.named(found.effects, gap, work.momentum.gap, remains, outlying) + ("" if own else _differ(work))
@@ -274,7 +274,7 @@ def _differ(work: Work) -> str:
 def _closure(work: Work, found: _Conclusion) -> Closure:
     """What is named, what was re-estimated together with it, and what might be in its place."""
     result = work.answer.result
-    incomplete = f"the explanation is incomplete: {words.SHAPE_INCOMPLETE}" if found.incomplete else None
+    incomplete = f"the explanation is incomplete: {words.remains(work.answer.left)}" if found.incomplete else None
     if found.verdict == "unknown":
         incomplete = "the catalogue does not explain all of the gap"
     return Closure(
@@ -406,7 +406,7 @@ def shape_nT(problem: Problem, answer: Answer) -> float | None:
     """What named causes may leave because nature's form is not theirs, rms per component [nT]; None where what is left is
     something unknown."""
     result = answer.result
-    if answer.left.structured and (not result.named or answer.known < 0.5):
+    if answer.left.structured and not answer.left.of_named and (not result.named or answer.known < 0.5):
         return None
     if not answer.left.structured and not answer.shapes:
         return 0.0

@@ -22,7 +22,6 @@ from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.effects.catalogue import CATALOGUE
 from fluxtwin.sim.effects.switched_field import SwitchedField
 
-SHAPE_INCOMPLETE = "some smaller structure remains"
 APART_FROM_THEM = (
     "All other readings are as expected from noise and attitude error: apart from these rows there is no gap."
 )
@@ -153,7 +152,7 @@ def named(
     effects: Sequence[FoundEffect],
     gap: Shrinkage,
     momentum: MomentumGap | None,
-    remains: str = SHAPE_INCOMPLETE,
+    remains: str,
     outlying: str | None = None,
 ) -> str:
     """Where effects are named. remains: what does, if the shape is incomplete; outlying: of the outliers."""
@@ -165,6 +164,15 @@ def named(
     rest += f" In addition, {outlying}." if outlying else ""
     how = "is explained in part by" if gap.shape_incomplete else "is explained by"
     return f"The gap {how} {causes}{_closed(effects, gap, momentum)}.{rest}"
+
+
+def remains(left: Structure) -> str:
+    """What does beside named effects, where their shape is incomplete."""
+    return (
+        f"{left.words}, a multiple of the wheel's turning, remains"
+        if left.of_named
+        else "some smaller structure remains"
+    )
 
 
 def not_tested(names: Sequence[str]) -> str:

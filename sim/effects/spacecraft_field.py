@@ -377,6 +377,18 @@ class WheelField(SpacecraftField):
             return "the telemetry has no wheel speed; only a line in the residual can show it"
         return None if varies(phase) else "the wheel never turns"
 
+    def multiples(self, setting: Setting) -> FloatArray:
+        """(N, 3, 42) cosines and sines of the multiples of the phase that the same wheel may have as well.
+
+        The rotor of a wheel has more poles than two, and its motor and bearings turn in fixed ratios to it.
+        """
+        phase = self.phase_rad(setting)
+        if phase is None:
+            return np.zeros((setting.seconds.size, 3, 0))
+        phases = phase[:, None] * np.array([2.0, 3.0, 4.0, 5.0, 6.0, 0.5, 1.0 / 3.0])
+        waves = np.concatenate([np.cos(phases), np.sin(phases)], axis=1)
+        return np.asarray(np.kron(waves[:, None, :], np.eye(3)))
+
     def apply(self, signal: Signal, theta: FloatArray) -> Signal:
         phase = self.phase_rad(signal.setting, signal.sample_offset_s)
         if phase is None:

@@ -185,13 +185,24 @@ def test_a_patch_of_unknown_field_over_a_region_is_unknown():
     assert found.sentence.startswith("There is a gap that the catalogue does not explain")
 
 
-def test_a_second_line_leaves_it_unknown_and_the_first_is_what_it_resembles():
-    """A wheel's line turns on an ellipse, and one on a straight line is no wheel's: what makes two is not known."""
+def two_lines(second_rad_s: float) -> Diagnosis:
+    """A wheel's line turns on an ellipse; and one on a straight line, which is no wheel's."""
     record = telemetry("nadir")
     t = np.arange(len(record)) * 30.0
     wheel_nT = 300.0 * np.stack([np.cos(0.0371 * t), np.sin(0.0371 * t), 0.3 * np.cos(0.0371 * t)], axis=1)
-    line_nT = 150.0 * np.outer(np.cos(0.0633 * t), [0.6, -0.5, 0.62])
-    found = diagnosed(record.replace(mag_B_nT=record.mag_B_nT + 100.0 * np.rint((wheel_nT + line_nT) / 100.0)))
+    line_nT = 150.0 * np.outer(np.cos(second_rad_s * t), [0.6, -0.5, 0.62])
+    return diagnosed(record.replace(mag_B_nT=record.mag_B_nT + 100.0 * np.rint((wheel_nT + line_nT) / 100.0)))
+
+
+def test_a_second_line_leaves_it_unknown_and_the_first_is_what_it_resembles():
+    found = two_lines(0.0633)
     assert found.verdict == "unknown"
     assert found.resembles == ["wheel_field"]
     assert "It resembles wheel_field." in found.sentence
+
+
+def test_a_second_line_at_a_multiple_of_the_first_is_the_same_wheel():
+    found = two_lines(2.0 * 0.0371)
+    assert [effect.name for effect in found.effects] == ["wheel_field"]
+    assert found.gap.shape_incomplete
+    assert "a line at a period of 85 s, a multiple of the wheel's turning, remains" in found.sentence

@@ -85,7 +85,7 @@ class Structured:
             answer = more
         for one in answer.shapes[:-1]:  # what was found first may be a piece of what was found after it
             fewer = self.given([other for other in answer.shapes if other is not one], answer)
-            if not fewer.left.structured and len(fewer.result.named) <= len(answer.result.named):
+            if fewer.known >= 0.5 and len(fewer.result.named) <= len(answer.result.named):
                 answer = fewer
         return answer
 

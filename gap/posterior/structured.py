@@ -196,7 +196,7 @@ class Structured:
         the walk beside the name in whose place it would be; else None."""
         bare_nT, alone = answer.result.residual_alone_nT, without_names(self.problem, answer)
         best: _Walk | None = None
-        for residual_nT, columns in self._without_a_step(answer, bare_nT, alone):
+        for residual_nT, columns in self._where_it_walks(answer, bare_nT, alone):
             likely = likeliest_rate(answer.whitener, residual_nT, columns)
             if likely is None:
                 continue
@@ -226,14 +226,14 @@ class Structured:
         finding = replace(finding, theta=np.array([best.rate * float(np.sqrt(found.result.variance))]))
         return replace(found, shapes=(*answer.shapes, finding))
 
-    def _without_a_step(
+    def _where_it_walks(
         self, answer: Answer, bare_nT: FloatArray, alone: FloatArray
     ) -> Iterator[tuple[FloatArray, FloatArray]]:
-        """Residuals (N, 3) and fitted columns that a walk is looked for in: no name fitted, and all but a step."""
+        """Residuals (N, 3) and fitted columns that a walk is looked for in: no name fitted, and all but a step or a drift."""
         yield bare_nT, alone
         result = answer.result
         others = [one for one in result.chosen if one[0].name not in _LIKE_A_WALK]
-        if others and len(others) < len(result.chosen):
+        if others:
             active = [*result.modelled, *signals_of(answer.shapes), *others]
             columns = np.concatenate([alone, self.problem.derivatives(others)], axis=2)
             yield self.problem.residual_of(active), columns

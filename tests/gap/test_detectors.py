@@ -500,7 +500,7 @@ def test_the_noise_beside_a_walk_is_sought_at_its_rate_over_the_white_noise(monk
     monkeypatch.setattr(structured, "without_names", lambda *_: columns)
     monkeypatch.setattr(structured, "likeliest_rate", lambda *_: 5.0)
     monkeypatch.setattr(structured, "choose_noise", asked)
-    monkeypatch.setattr(Structured, "_without_a_step", lambda *_: [(None, columns)])
+    monkeypatch.setattr(Structured, "_where_it_walks", lambda *_: [(None, columns)])
     with pytest.raises(Asked) as seen:
         Structured(nothing, nothing, nothing)._walking(answer)
     assert seen.value.args == (pytest.approx(0.25),)
@@ -513,8 +513,8 @@ def test_a_waveform_is_taken_out_where_a_later_one_leaves_nothing_for_it(
     """A line is found first, then the sequence of which it is a piece."""
 
     def answer(*shapes: str) -> Any:
-        left = SimpleNamespace(structured=shapes == ("line",) or (needed and len(shapes) < 2))
-        return SimpleNamespace(shapes=shapes, left=left, result=SimpleNamespace(named=()))
+        known = 0.0 if shapes == ("line",) or (needed and len(shapes) < 2) else 1.0
+        return SimpleNamespace(shapes=shapes, known=known, result=SimpleNamespace(named=()))
 
     found = iter([answer("line"), answer("line", "sequence"), None])
     monkeypatch.setattr(Structured, "_one_more", lambda *_: next(found))

@@ -169,6 +169,14 @@ def test_two_effects_at_once_are_both_named_and_nothing_else():
     assert {effect.name for effect in found.effects} == {"time_tag_offset", "thermal_bias_drift"}
 
 
+def test_a_walk_beside_an_effect_of_ten_times_its_size_is_told_from_its_shape():
+    """The noise in which a walk is looked for is that beside the effect: without its name an image of 1.5 uT is noise."""
+    both = "[effects.time_tag_offset]\noffset_s = 25.0\n[effects.bias_random_walk]\nrate_nT_per_sqrt_s = 3.0\n"
+    found = diagnosed(telemetry("tumble", both))
+    assert [effect.name for effect in found.effects] == ["time_tag_offset", "bias_random_walk"]
+    assert found.verdict == "effect" and not found.gap.shape_incomplete
+
+
 def test_a_patch_of_unknown_field_over_a_region_is_unknown():
     """A field of 800 nT, pointing up, over a bell of 2000 km around a place: no effect of the catalogue is like it."""
     record = telemetry("nadir")

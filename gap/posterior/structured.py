@@ -229,7 +229,7 @@ class Structured:
     def _where_it_walks(
         self, answer: Answer, bare_nT: FloatArray, alone: FloatArray
     ) -> Iterator[tuple[FloatArray, FloatArray]]:
-        """Residuals (N, 3) and fitted columns that a walk is looked for in: no name fitted, and all but a step or a drift."""
+        """Residuals (N, 3) and fitted columns to look for a walk in: no name fitted, and all but a step or a drift."""
         yield bare_nT, alone
         result = answer.result
         others = [one for one in result.chosen if one[0].name not in _LIKE_A_WALK]

@@ -72,6 +72,15 @@ def projected_white(whitener: Whitens, white: FloatArray, columns: FloatArray) -
     return ProjectedResidual(whitener, rest, basis, max(whitener.measured - basis.shape[1], 1))
 
 
+def left_beside(whitener: Whitens, white: FloatArray, columns: FloatArray, likely: FloatArray) -> ProjectedResidual:
+    """As `projected_white`, less the likeliest combination of further columns (N, 3, p) whose coefficients are of order one:
+    known before to a standard deviation of 1, beside unit noise."""
+    left = projected_white(whitener, white, columns)
+    free = projected_out(left.basis, likely.reshape(left.residual.size, -1))
+    size = np.linalg.solve(free.T @ free + np.eye(free.shape[1]), free.T @ left.residual)
+    return ProjectedResidual(whitener, left.residual - free @ size, left.basis, left.degrees)
+
+
 def orthonormal(columns: FloatArray) -> FloatArray:
     """(M, r) orthonormal basis of the span of columns (M, k), or (N, 3, k) with M = 3N; dead and dependent ones fall out."""
     flat = columns.reshape(int(np.prod(columns.shape[:-1])), columns.shape[-1])

@@ -20,7 +20,7 @@ from fluxtwin.gap.detectors.lines import multiples
 from fluxtwin.gap.detectors.residual_structure import Structure, judge
 from fluxtwin.gap.hypotheses.blocks import Dictionary
 from fluxtwin.gap.hypotheses.candidates import Candidate
-from fluxtwin.gap.linear.projection import projected, projected_white
+from fluxtwin.gap.linear.projection import left_beside, projected
 from fluxtwin.gap.noise.choice import (
     NoiseModel,
     RobustRows,
@@ -296,29 +296,35 @@ def without_names(problem: Problem, answer: Answer) -> FloatArray:
 
 
 def structures_left(under_way: Search[Readings], fits: Sequence[Fit], dictionary: Dictionary) -> list[Structure]:
-    """The structure that each fit leaves, beyond the image at nothing of its effects.
+    """The structure that each fit leaves, beyond what the size of its effects changes of their images.
 
-    The image of a large effect at its size and that at nothing differ by what its size changes and by errors of the
-    attitude in both: structure along that difference is the same cause once more. A line that is a multiple of a fitted
-    wheel's turning is looked beyond.
+    A line that is a multiple of a fitted wheel's turning is looked beyond.
     """
     problem, whitener = under_way.channel.problem, under_way.channel.whitener
-    images, owns = [], []
-    for fit in fits:
-        chosen = [effect for effect, _ in fit.chosen]
-        numbers = [number for number, candidate in enumerate(under_way.found) if candidate.effect in chosen]
-        at_nothing = under_way.white[:, :, np.isin(under_way.first.owner, numbers)]
-        images.append(np.concatenate([fit.jacobian, at_nothing], axis=2))
-        owns.append(fit.jacobian[:, :, fit.jacobian.shape[2] - sum(len(theta) for _, theta in fit.chosen) :])
-    rests = [projected_white(whitener, fit.residual, image) for fit, image in zip(fits, images, strict=True)]
+    images = [fit.jacobian[:, :, fit.free] for fit in fits]
+    changes = [_changes(under_way, fit) for fit in fits]
+    owns = [fit.jacobian[:, :, fit.jacobian.shape[2] - sum(len(theta) for _, theta in fit.chosen) :] for fit in fits]
+    rests = [left_beside(whitener, fit.residual, *both) for fit, *both in zip(fits, images, changes, strict=True)]
     lefts = [judge(problem, *one, 1.0) for one in zip(rests, dictionary.fits_each(rests), owns, strict=True)]
-    for place, (fit, image, own) in enumerate(zip(fits, images, owns, strict=True)):
+    for place, (fit, own) in enumerate(zip(fits, owns, strict=True)):
         lines = multiples(problem.setting, [effect for effect, _ in fit.active])
         if lefts[place].kind == "tone" and lines.size:
-            rest = projected_white(whitener, fit.residual, np.concatenate([image, whitener.apply(lines)], axis=2))
+            image = np.concatenate([images[place], whitener.apply(lines)], axis=2)
+            rest = left_beside(whitener, fit.residual, image, changes[place])
             past = judge(problem, rest, dictionary.fits(rest), own, 1.0)
             lefts[place] = past if past.structured else replace(lefts[place], of_named=True)
     return lefts
+
+
+def _changes(under_way: Search[Readings], fit: Fit) -> FloatArray:
+    """(M, 3, p) by how much the whitened images of a fit's effects at nothing differ from those at their size: as much again
+    may be left, where the attitude in both has errors."""
+    found = [np.zeros((*fit.residual.shape, 0))]
+    for number, (_, theta), where in zip(under_way.numbers(fit), fit.chosen, fit.slices(), strict=True):
+        live = under_way.found[number].live
+        at_nothing = under_way.white[:, :, under_way.first.owner == number]
+        found.append((at_nothing - fit.jacobian[:, :, where][:, :, live]) * theta[live])
+    return np.concatenate(found, axis=2)
 
 
 def _beside(problem: Problem, signals: Sequence[Active]) -> Problem:

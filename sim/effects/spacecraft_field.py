@@ -421,8 +421,9 @@ class EddyCurrent(SpacecraftField):
         "(Landau & Lifshitz, Electrodynamics of Continuous Media, section 59)"
     )
 
-    # A sphere of aluminium of half a metre: mu_0 sigma a^2 / pi^2 = 1.1 s (Landau & Lifshitz, section 59).
-    parameters = vector_parameters("K", "s", 0.05, -1.0, 1.0, axes=("xx", "yy", "xy", "xz", "yz"))
+    # At the most that of a massive sphere of aluminium of one metre, at its surface: its currents have the moment
+    # 2 pi sigma a^5 / 15 dB/dt, with the field mu_0 sigma a^2 / 15 = 3.2 s on its axis (Landau & Lifshitz, section 59).
+    parameters = vector_parameters("K", "s", 0.05, -3.2, 3.2, axes=("xx", "yy", "xy", "xz", "yz"))
 
     def apply(self, signal: Signal, theta: FloatArray) -> Signal:
         xx, yy, xy, xz, yz = theta

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 from worlds import COARSE_MAGNETOMETER, THERMAL, scenario_text
 
 from fluxtwin.gap.diagnose import diagnose
@@ -191,6 +192,17 @@ def test_a_patch_of_unknown_field_over_a_region_is_unknown():
     found = diagnosed(record.replace(mag_B_nT=np.asarray(record.mag_B_nT) + 100.0 * np.rint(patch_B / 100.0)))
     assert found.verdict == "unknown"
     assert found.sentence.startswith("There is a gap that the catalogue does not explain")
+
+
+def test_a_coupling_of_axes_with_a_delay_is_no_eddy_current():
+    """An eddy current's images at nothing and at its size differ by little: what lies along that is not all its own."""
+    record = telemetry("tumble")
+    seconds = np.arange(len(record)) * 30.0
+    late_nT = 0.2 * CubicSpline(seconds, record.mag_B_nT[:, 1])(seconds - 10.0)
+    reading = record.mag_B_nT + np.outer(100.0 * np.rint(late_nT / 100.0), [0.0, 0.0, 1.0])
+    found = diagnosed(record.replace(mag_B_nT=reading))
+    assert found.verdict == "unknown" and not found.effects
+    assert "induced by the slope" in found.sentence
 
 
 def two_lines(second_rad_s: float) -> Diagnosis:

@@ -14,6 +14,7 @@ from fluxtwin.gap.detectors.lines import line_columns, strongest_line
 from fluxtwin.gap.detectors.residual_structure import drift, likeliest_step
 from fluxtwin.gap.linear.projection import (
     ProjectedResidual,
+    left_beside,
     log10_sf_f,
     orthonormal,
     projected_out,
@@ -81,6 +82,22 @@ def test_columns_that_repeat_each_other_take_their_rank_of_the_degrees_of_freedo
     columns = np.random.default_rng(3).standard_normal((300, 2)) @ [[1.0, 0.0, 2.0], [0.0, 1.0, -1.0]]
     left = projected_white(whitener, np.ones((100, 3)), columns)
     assert left.degrees == 300 - np.linalg.matrix_rank(columns) == 298
+
+
+@pytest.mark.parametrize("length", [1.0, 3.0, 10.0])
+def test_what_is_known_to_be_of_order_one_is_taken_out_to_its_likeliest_size(length: float) -> None:
+    """Of a direction known to 1 beside unit noise, l^2 / (1 + l^2) is taken for a column of length l: a Gaussian's mean."""
+    rng = np.random.default_rng(5)
+    columns, likely, series = (rng.standard_normal((100, 3, k)) for k in (2, 1, 1))
+    whitener: Any = SimpleNamespace(measured=300)
+    basis = orthonormal(columns)
+    across = projected_out(basis, likely.reshape(300))
+    likely *= length / np.linalg.norm(across)
+    unit = across / np.linalg.norm(across)
+    left = left_beside(whitener, series[:, :, 0], columns, likely)
+    plain = projected_white(whitener, series[:, :, 0], columns)
+    assert left.residual @ unit == pytest.approx(plain.residual @ unit / (1.0 + length**2), rel=1e-12)
+    assert left.degrees == plain.degrees
 
 
 def test_the_searches_keep_their_false_alarm_rates() -> None:

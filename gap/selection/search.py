@@ -298,7 +298,8 @@ def _weights(search: Search[Any], fit: Fit, number: int, bare: Fit, variance: fl
         if scored.rank[place] == 0 or candidate.name in taken or candidate.effect is fit.chosen[number][0]:
             continue
         price = float(penalty(scored.rank[place], scored.statistic[place] / variance, search.samples)) - price_own
-        trials.append(((drop_own - scored.statistic[place]) / variance / wider + price, place, price))
+        left = scored.chi2 - scored.statistic[place]
+        trials.append(((left - fit.chi2) / variance / wider + price, place, price))
     refitted: list[str] = []
     for worse, place, price in sorted(trials):
         name = search.found[place].name

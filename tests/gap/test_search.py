@@ -40,7 +40,7 @@ from fluxtwin.gap.selection.refit import (
     settled,
 )
 from fluxtwin.gap.selection.score import board
-from fluxtwin.gap.selection.search import SearchResult
+from fluxtwin.gap.selection.search import SearchResult, _weights
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.earth.field import load_field
@@ -349,6 +349,30 @@ def test_a_field_by_a_flag_is_another_cause_than_an_array_that_a_field_in_sunlig
     assert begun.same_cause(numbers[:2])
     assert not begun.same_cause([numbers[0], numbers[2]])
     assert begun.same_cause(numbers[1:]), "of one name"
+
+
+def test_a_rival_is_weighed_by_what_it_leaves_though_the_modelled_can_do_less_than_their_images() -> None:
+    """Along its images what is modelled does without the effect; fitted, it is at a limit and leaves ten times as much."""
+    own, other = SimpleNamespace(name="own"), SimpleNamespace(name="other")
+
+    def fit(chosen: Any, chi2: float, rank: int) -> Any:
+        rest = {"modelled": (), "jacobian": np.ones((30, 3, 1)), "chi2": chi2, "rank_chosen": rank}
+        return SimpleNamespace(chosen=chosen, others=lambda _: (), slices=lambda: [slice(0, 1)], **rest)
+
+    found, bare = fit([(own, np.ones(1))], 90.0, 1), fit([], 1000.0, 0)
+    scored: Any = SimpleNamespace(
+        chi2=110.0, rank=np.ones(2, int), statistic=np.full(2, 20.0), estimate=lambda _: [np.ones(1)]
+    )
+    search: Any = SimpleNamespace(
+        channel=SimpleNamespace(residual=lambda _: None, blur=lambda *_: None),
+        base=SimpleNamespace(modelled=()),
+        found=[SimpleNamespace(name=one.name, effect=one) for one in (own, other)],
+        scored=lambda *_: scored,
+        samples=90.0,
+        numbers=lambda _: [0],
+        fit=lambda *_: fit([(other, np.ones(1))], 90.0, 1),
+    )
+    assert _weights(search, found, 0, bare, 1.0)["other"] == pytest.approx(1.0, rel=0.5)
 
 
 def test_the_smallest_size_is_that_of_an_effects_first_form() -> None:

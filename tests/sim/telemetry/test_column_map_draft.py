@@ -532,6 +532,13 @@ def test_bare_names_of_a_unit_norm_are_a_quaternion_and_a_place_has_fill_values(
     assert "attitude = { from" not in draft([table(tmp_path / "data.csv", columns)])
 
 
+def test_a_draft_says_of_a_file_that_is_no_text_that_it_is_none(tmp_path: Path) -> None:
+    for name, said in (("a.mat", "writetable makes a .csv"), ("a.fits", "damaged or not text")):
+        (tmp_path / name).write_bytes(b"SIMPLE  =                    T\xc0\0\n")
+        with pytest.raises(BadInput, match=said):
+            draft([tmp_path / name])
+
+
 def test_a_row_of_units_below_the_header_is_named(tmp_path: Path) -> None:
     path = tmp_path / "t.csv"
     rows = ["2026-03-01 00:00:00,20.1,3.2,-30.5,1", "2026-03-01 00:00:10,20,3,-30,0", ""]

@@ -166,9 +166,7 @@ def next_step(diagnosis: Diagnosis, source: str = "TELEMETRY", correct: str = CO
     if closed:
         done = done or f"fluxtwin simulate {closed} --out simulated.nc simulates with the named effects"
         test = f"diagnose the telemetry of another day with --scenario {closed}"
-        asked = (
-            f"fluxtwin plan {source} proposes what to fly to find out {'which it is' if alike else 'what the rest is'}"
-        )
+        asked = f"fluxtwin plan {source} proposes what to fly to find out {'which it is' if alike else 'more'}"
         return f"{done}; {asked if unsure else test}."
     if diagnosis.transfers is not None:
         return f"{done and f'{done}; '}diagnose the telemetry of another day with the closed scenario (--scenario)."

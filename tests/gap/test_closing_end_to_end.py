@@ -105,12 +105,12 @@ def test_the_next_step_takes_out_what_apply_takes_out(name: str) -> None:
 
 
 def test_the_next_step_asks_what_is_not_known() -> None:
-    """Which of two names that look alike, or what remains beside a name that stands alone."""
+    """Which of two names that look alike; where a name or a law stands alone in an unknown gap, there is no such choice."""
     found, _ = closed(f"[effects.thermal_bias_drift]\n{HOLDS['thermal_bias_drift']}\n")
     (effect,) = found.effects
     alike = replace(found, effects=[replace(effect, group=[effect.name, "bias_step"])])
     alone = replace(found, effects=[replace(effect, group=[effect.name])], verdict="unknown")
-    for diagnosis, what in ((alike, "which it is"), (alone, "what the rest is")):
+    for diagnosis, what in ((alike, "which it is"), (alone, "more")):
         assert next_step(diagnosis, "a.csv", closed="c.toml").endswith(
             f"fluxtwin plan a.csv proposes what to fly to find out {what}."
         )

@@ -164,7 +164,7 @@ def test_incomplete_rows_are_left_out_and_counted(seasat: Any) -> None:
     assert fit.rows[0] == 15
     with pytest.raises(NoAnswer, match="no row is complete: 325 rows have no reference attitude"):
         calibrate_linear(whole.replace(q_NB=None), seasat.model)
-    with pytest.raises(NoAnswer, match="325 rows have no position.*; --tle FILE gives positions"):
+    with pytest.raises(NoAnswer, match=r"325 rows have no position.*; --tle FILE gives positions"):
         calibrate_linear(whole.replace(r_N_km=None, v_N_km_s=None), seasat.model)
     with pytest.raises(BadInput, match="no torquer dipole"):
         calibrate_linear(whole.replace(dipole_B_Am2=None), seasat.model, parameters="b,S,T")

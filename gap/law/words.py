@@ -197,9 +197,9 @@ def too_little(gap: Shrinkage) -> str:
 
 
 def axis_label(law: LawEffect) -> str:
-    """Of a figure; without a unit where that of a column is not known."""
+    """Of a figure."""
     units = " ".join(_units(law.of)).replace("K", "degC")  # as it is recorded, where a coefficient has differences
-    late = f" [{units}]" if units and _UNITS["driver"] not in units else ""
+    late = f" [{units}]" if units else ""
     late += f", {law.delay_s:.3g} s late" if law.delay_s else ""
     late += f", behind {law.lag_s:.3g} s" if law.lag_s else ""
     return product(law.of) + late

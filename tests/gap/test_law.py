@@ -330,10 +330,10 @@ def test_names_are_short_and_each_its_own() -> None:
         (("array_current_A", "sunlit"), "array current times sunlight [A], 40 s late"),
         (("temperature_degC",), "temperature [degC], 40 s late"),
         (("sunlit",), "sunlight, 40 s late"),
-        (("driver_payload", "array_current_A"), "driver_payload times array current, 40 s late"),
+        (("driver_payload", "array_current_A"), "driver_payload times array current [unit A], 40 s late"),
     ],
 )
-def test_the_axis_of_a_figure_has_the_unit_where_it_is_known(of: tuple[str, ...], label: str) -> None:
+def test_the_axis_of_a_figure_has_the_unit_of_what_the_law_follows(of: tuple[str, ...], label: str) -> None:
     assert words.axis_label(effect.Law(of=of, delay_s=40.0)) == label
 
 

@@ -91,7 +91,8 @@ def of_pandas(frame: Any, where: str = "DataFrame") -> Table:
         if isinstance(series.attrs.get("units"), str):  # a frame's own attributes are also those of its columns
             units[name] = series.attrs["units"]
         columns[str(name)] = _column(series, str(name), where)
-    require_no_units(*([_cell(value[row : row + 1]) for value in columns.values()] for row in (0, 1)), where)
+    first, second = ([_cell(value[row : row + 1]) for value in columns.values()] for row in (0, 1))
+    require_no_units(first, second, where)
     stamped = timed is not None and pd.api.types.is_datetime64_any_dtype(timed.dtype)
     notices = ["column time has no zone: taken as UTC"] if stamped and timed.dt.tz is None else []
     return Table(where, columns, {str(k): str(v) for k, v in units.items()}, _stated(frame.attrs), notices)

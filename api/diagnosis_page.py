@@ -158,14 +158,16 @@ def next_step(diagnosis: Diagnosis, source: str = "TELEMETRY", correct: str = CO
         return "nothing needs correcting. The tables say what these data could not have shown."
     if APART_FROM_THEM in diagnosis.sentence:
         return "find out why these rows are wrong, or leave their readings blank; the others need nothing."
-    unsure = diagnosis.verdict == "unknown" or any(len(effect.group) > 1 for effect in diagnosis.effects)
+    alike = any(len(effect.group) > 1 for effect in diagnosis.effects)
+    unsure = alike or diagnosis.verdict == "unknown"
     if unsure and not closed:
         return f"fluxtwin plan {source}, which proposes what to fly to find out."
     done = correcting(diagnosis, correct)
     if closed:
         done = done or f"fluxtwin simulate {closed} --out simulated.nc simulates with the named effects"
         test = f"diagnose the telemetry of another day with --scenario {closed}"
-        return f"{done}; {f'fluxtwin plan {source} proposes what to fly to find out which it is' if unsure else test}."
+        asked = f"fluxtwin plan {source} proposes what to fly to find out {'which it is' if alike else 'more'}"
+        return f"{done}; {asked if unsure else test}."
     if diagnosis.transfers is not None:
         return f"{done and f'{done}; '}diagnose the telemetry of another day with the closed scenario (--scenario)."
     close = f"fluxtwin diagnose {source} --close CLOSED.toml; "

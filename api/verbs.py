@@ -334,7 +334,7 @@ def yaw(
     record = as_record(telemetry, **reading)
     given = None if calibration is None else as_calibration(calibration)
     known = calibration_of(record, given, force=force)
-    if given is None and sigma_nT is None and known.sigma_nT == 0:
+    if sigma_nT is None and known.sigma_nT == 0:
         raise BadInput("the error of a field component is not known", where="--sigma-nT", wanted="nT, 1 sigma")
     return yaw_from_field(
         record,

@@ -146,7 +146,7 @@ def left_alone(
         axes.text(value + apart, float(place), remark, va="center", fontsize=style.NOTE_PT, **look)
     axes.axvline(limit_nT, color=style.BLACK, linewidth=1.0, linestyle="--", zorder=1.5)
     axes.set_xlim(0.0, 1.1 * limit_nT)
-    style.label(axes, x="rms left per component [nT]; dashed: before", title=title)
+    style.label(axes, x="residual rms per component [nT]; dashed: before", title=title)
     return figure
 
 

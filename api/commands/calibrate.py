@@ -170,8 +170,8 @@ def _next_step(fit: Fit, telemetry: list[Path], out: Path | None, reading: of.Re
     named += f" {how.words}" if how.words else ""
     if words.startswith("fluxtwin diagnose"):
         named += _again({name: asked[name] for name in of.Assumed._fields if name in asked})
-    corrected = shlex.quote(of.corrected_name(telemetry[0], reading))
-    known = shlex.quote(str(out or f"{of.stem(telemetry[0])}-calibration.toml"))
+    corrected = shlex.quote(of.proposed_name(telemetry[0], reading, "corrected", ".nc"))
+    known = shlex.quote(str(out or of.proposed_name(telemetry[0], reading, "calibration", ".toml")))
     return words.replace("TELEMETRY", named).replace("CALIBRATION.toml", known).replace("CORRECTED", corrected)
 
 

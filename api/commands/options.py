@@ -172,9 +172,9 @@ def stem(telemetry: Path) -> str:
     return whole.name if whole.is_dir() else whole.name.removesuffix(".gz").rsplit(".", 1)[0]
 
 
-def corrected_name(telemetry: Path, reading: Reading) -> str:
-    """The file for its corrected readings that a next step proposes, in the current folder."""
-    return f"{stem(telemetry)}-corrected{'-2' if reading.magnetometer == 2 else ''}.nc"
+def proposed_name(telemetry: Path, reading: Reading, made: str, ending: str) -> str:
+    """The file made of it that a next step proposes, in the current folder: each magnetometer has its own."""
+    return f"{stem(telemetry)}-{made}{'-2' if reading.magnetometer == 2 else ''}{ending}"
 
 
 def known_calibration(path: Path, record: Telemetry, output: Output) -> Calibration:

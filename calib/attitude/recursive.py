@@ -92,8 +92,8 @@ def calibrate_recursive(records: Telemetry | Sequence[Telemetry], model: FieldMo
     require_samples(len(reading), 4 if parameters == "b,S" else 1)
     white_nT = None
     if noise_nT is not None:
-        lsb = lsb_from_spacing_nT(reading) if options.lsb_nT is None else per_axis(options.lsb_nT, "lsb_nT")
-        white_nT = float(np.sqrt((per_axis(noise_nT, "noise_nT") ** 2 + lsb**2 / 12.0).mean()))
+        lsb = lsb_from_spacing_nT(reading) if options.lsb_nT is None else per_axis(options.lsb_nT, "--lsb-nT")
+        white_nT = float(np.sqrt((per_axis(noise_nT, "--noise-nT") ** 2 + lsb**2 / 12.0).mean()))
     declared = declared_noises(white_nT, options.attitude_sigma_deg, options.attitude_tau_s, options.sun_sigma_deg)
     begun = starts(rows, None)
     first = np.diag(_FIRST_SIGMA**2)

@@ -17,7 +17,7 @@ from fluxtwin.sim.telemetry.record import Telemetry, plain_text, recorded_column
 _DIGEST_SHOWN = 12  # hexadecimal digits: of a million calibrations two agree by chance with a probability of 0.2 %
 _NEAR_DEGC = 1.0  # no magnetometer that is worth calibrating changes within a degree
 _STAMP = re.compile(
-    r"calibration ([0-9a-f]{12}(?: then [0-9a-f]{12})*) \((?:residual|noise) ([0-9.eE+-]+) nT\)(?: with (.+))?"
+    r"calibration ([0-9a-f]{12}(?: then [0-9a-f]{12})*)(?: \((?:residual|noise) ([0-9.eE+-]+) nT\))?(?: with (.+))?"
 )
 
 
@@ -49,7 +49,8 @@ def apply_calibration(
         *calibration.telemetry_bias,
     ]
     also = "; ".join(dict.fromkeys([*of_before, *of_this]))
-    words = f"calibration {chain} ({sigma_is} {calibration.sigma_nT:.3g} nT){f' with {also}' if also else ''}"
+    known = f" ({sigma_is} {calibration.sigma_nT:.3g} nT)" if calibration.sigma_nT else ""
+    words = f"calibration {chain}{known}{f' with {also}' if also else ''}"
     stamped = {"calibration": plain_text(words), "calibration_note": note}  # the same in every kind of file
     return telemetry.replace(mag_B_nT=corrected, provenance={**telemetry.provenance, **stamped})
 
@@ -164,4 +165,4 @@ def corrected_effects(telemetry: Telemetry) -> tuple[str, ...]:
 def known_sigma_nT(telemetry: Telemetry) -> float | None:
     """Residual or noise of a component [nT] that the mark of corrected readings states; None where unknown."""
     match = _STAMP.match(telemetry.corrected_by)
-    return None if match is None else float(match[2])
+    return None if match is None or match[2] is None else float(match[2])

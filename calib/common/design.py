@@ -138,8 +138,8 @@ def complete_rows(needs: Mapping[str, BoolArray], wanted: str) -> tuple[np.ndarr
     rows, left_out = rows_with(needs)
     if not rows.size:
         reasons = ", ".join(f"{amount(count, 'row has|rows have')} {reason}" for reason, count in left_out.items())
+        positions = "; --tle FILE gives positions" if "no position" in left_out else ""
         raise NoAnswer(
-            f"no row is complete: {reasons}. A calibration {wanted}",
-            evidence={"left_out": left_out},
+            f"no row is complete: {reasons}. A calibration {wanted}{positions}", evidence={"left_out": left_out}
         )
     return rows, left_out

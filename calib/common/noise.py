@@ -142,12 +142,12 @@ def _declared(
     B_nT: FloatArray, noise_nT: float | FloatArray | None, lsb_nT: float | FloatArray | None
 ) -> tuple[ReadingNoise | None, FloatArray, str]:
     """The noise where it is declared; (3,) LSB of each axis and where it comes from."""
-    lsb = lsb_from_spacing_nT(B_nT) if lsb_nT is None else per_axis(lsb_nT, "lsb_nT")
+    lsb = lsb_from_spacing_nT(B_nT) if lsb_nT is None else per_axis(lsb_nT, "--lsb-nT")
     found = "found from the spacing of the readings" if lsb.any() else "because the readings show no step"
     words = f"LSB {_three(lsb)} nT {found if lsb_nT is None else 'declared'}"
     if noise_nT is None:
         return None, lsb, words
-    noise = per_axis(noise_nT, "noise_nT")
+    noise = per_axis(noise_nT, "--noise-nT")
     return ReadingNoise(noise**2 + lsb**2 / 12.0, f"noise {_three(noise)} nT declared, {words}"), lsb, words
 
 

@@ -148,7 +148,7 @@ class Options:
                     wanted = " or ".join(filter(None, choices)) + whose
                     raise BadInput(f"{value!r} is no {option.noun}", where=f"--{item.name}", wanted=wanted)
             elif value is not None and not option.allowed(value):
-                raise BadInput(f"{value!r}", where=item.name, wanted=option.wanted)
+                raise BadInput(f"{value!r}", where=f"--{item.name.replace('_', '-')}", wanted=option.wanted)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -221,7 +221,7 @@ def _require_turns(seen: GyroRows, solved: Solved) -> None:
 
 def _noise(options: GyroOptions, variance: float) -> ReadingNoise:
     if options.noise_nT is not None:
-        declared = per_axis(options.noise_nT, "noise_nT")
+        declared = per_axis(options.noise_nT, "--noise-nT")
         return ReadingNoise(declared**2, f"{plain(float(declared.mean()))} nT as declared")
     return ReadingNoise(np.full(3, variance), f"{plain(float(np.sqrt(variance)))} nT per axis, found in the data")
 

@@ -39,9 +39,14 @@ _MOST_LISTED = 4
 
 def unit(law: LawEffect) -> str:
     """Of a term's coefficients."""
-    plain = [part for part in map(_unit, law.of) if part]
-    parts = [one if plain.count(one) == 1 else f"{one}^{plain.count(one)}" for one in dict.fromkeys(plain)]
+    parts = _units(law.of)
     return "nT" if not parts else f"nT/{parts[0]}" if len(parts) == 1 else f"nT/({' '.join(parts)})"
+
+
+def _units(of: Sequence[str]) -> list[str]:
+    """Those of a product, each once with its power."""
+    plain = [part for part in map(_unit, of) if part]
+    return [one if plain.count(one) == 1 else f"{one}^{plain.count(one)}" for one in dict.fromkeys(plain)]
 
 
 def _unit(factor: str) -> str:
@@ -193,6 +198,8 @@ def too_little(gap: Shrinkage) -> str:
 
 def axis_label(law: LawEffect) -> str:
     """Of a figure."""
-    late = f", {law.delay_s:.3g} s late" if law.delay_s else ""
+    units = " ".join(_units(law.of)).replace("K", "degC")  # as it is recorded, where a coefficient has differences
+    late = f" [{units}]" if units else ""
+    late += f", {law.delay_s:.3g} s late" if law.delay_s else ""
     late += f", behind {law.lag_s:.3g} s" if law.lag_s else ""
     return product(law.of) + late

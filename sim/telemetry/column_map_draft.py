@@ -441,11 +441,12 @@ def _place(header: Header, free: list[str]) -> list[_Found]:
         if not likely:
             return []
         found.append(likely[0])
-    size = float(np.nanmedian(np.abs(header.values[found[2]])))
-    frame = "geocentric" if "radius" in found[2].lower() else "geodetic"
-    unit = "m" if size > 1e5 else "km"
-    doubts = [f"position: {frame} (geodetic: latitude and altitude above WGS 84; geocentric: radius) in {unit}"]
-    return [("position", found, {"unit": unit, "frame": frame}, doubts)]
+    unit = "m" if np.nanmedian(np.abs(header.values[found[2]])) > 1e5 else "km"
+    keys: dict[str, object] = {"unit": unit, "frame": "geocentric" if "radius" in found[2].lower() else "geodetic"}
+    if all(re.search(r"rad(ian)?s?\W*$", f"{name}{header.units.get(name, '')}".lower()) for name in found[:2]):
+        keys["scale"] = [*2 * [float(np.degrees(1.0))], 1.0]
+    doubts = [f"position: {keys['frame']} (geodetic: latitude and altitude above WGS 84; geocentric: radius) in {unit}"]
+    return [("position", found, keys, doubts)]
 
 
 def _triples(header: Header, free: list[str]) -> list[list[str]]:

@@ -18,7 +18,7 @@ from fluxtwin.sim.telemetry.columns import TRUTHS, clip
 from fluxtwin.sim.telemetry.csv_files import open_csv
 from fluxtwin.sim.telemetry.formats.catalogue import format_of, table_of
 from fluxtwin.sim.telemetry.netcdf_files import NetcdfFile
-from fluxtwin.sim.telemetry.telemetry_files import refuse_toml
+from fluxtwin.sim.telemetry.telemetry_files import refuse_other
 
 FILLS = (-9999.0, -99999.0, -999.0, 9999.0, 99999.0, 65535.0, 32767.0, -32768.0, 1e31, -1e31)
 """What programs write where there is nothing."""
@@ -74,7 +74,7 @@ def header_of(path: Path, sheet: str | None = None) -> Header:
             elif value.ndim <= 2:
                 found.values[name] = np.asarray(value[:_SAMPLE], dtype=np.float64)
         return found
-    refuse_toml(path)
+    refuse_other(path)
     csv = open_csv(path)
     found = Header(path, list(csv.names), rows=csv.rows)
     for name in csv.names:

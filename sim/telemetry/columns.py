@@ -95,7 +95,8 @@ class Resolution:
             return []
         more = f" and {len(self.unknown) - 8} more" if len(self.unknown) > 8 else ""
         shown = ", ".join(clip(name) or "one without a name" for name in self.unknown[:8])
-        said = [f"columns of other names were left out (call one driver_NAME to test its field): {shown}{more}"]
+        how = "a column map reads them, or call one driver_NAME to test its field"
+        said = [f"columns of other names were left out ({how}): {shown}{more}"]
         torquers = [clip(name) for name in self.unknown if re.search(TORQUER, name.lower())]
         if torquers and "dipole_B_Am2" not in self.found:
             said.append(

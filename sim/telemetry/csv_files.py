@@ -201,7 +201,9 @@ def open_csv(path: Path | str, *, max_samples: int = MAX_SAMPLES) -> CsvFile:
     if b'"' in body:
         mark, body = _OF_QUOTED, _without_quotes(body, where)
     rows = _checked_rows(body, mark, len(names), max_samples, where)
-    _require_no_units(body, mark, where)
+    lines = io.BytesIO(body)  # shares the bytes, where splitting them would copy the file
+    first, second = ([cell.decode("utf-8").strip() for cell in lines.readline().split(mark)] for _ in range(2))
+    require_no_units(first, second, where)
     return CsvFile(where, names, mark, body, rows, digest, tuple(notices))
 
 
@@ -227,6 +229,9 @@ def _decoded(data: bytes, where: str) -> bytes:
     if data[:2] in (b"\xff\xfe", b"\xfe\xff") or b"\0" in data[:4]:
         raise BadInput("is UTF-16", where=where, wanted="UTF-8 (save it again as CSV UTF-8)")
     data = data.removeprefix(b"\xef\xbb\xbf")
+    if b"\0" in data:
+        line = data.count(b"\n", 0, data.index(b"\0")) + 1
+        raise BadInput(f"has a NUL byte in line {line}: the file is damaged or not text", where=where)
     if not data.isascii():
         try:
             data.decode("utf-8")
@@ -237,9 +242,6 @@ def _decoded(data: bytes, where: str) -> bytes:
                 where=where,
                 wanted="UTF-8 (save it again as CSV UTF-8)",
             ) from None
-    if b"\0" in data:
-        line = data.count(b"\n", 0, data.index(b"\0")) + 1
-        raise BadInput(f"has a NUL byte in line {line}: the file is damaged or not text", where=where)
     data = data.replace(b"\r\n", b"\n")
     if b"\r" in data:
         line = data.count(b"\n", 0, data.index(b"\r")) + 1
@@ -387,16 +389,14 @@ def _checked_rows(body: bytes, mark: bytes, width: int, max_samples: int, where:
     return int(ends.size)
 
 
-def _require_no_units(body: bytes, mark: bytes, where: str) -> None:
-    """Raises BadInput for words below the header where the next row has numbers, as a row of units."""
-    rows = io.BytesIO(body)  # shares the bytes, where splitting them would copy the file
-    first, second = ([cell.decode("utf-8").strip() for cell in rows.readline().split(mark)] for _ in range(2))
+def require_no_units(first: Sequence[str], second: Sequence[str], where: str) -> None:
+    """Raises BadInput for words in the row below the header where the next row has numbers, as a row of units."""
     if any(map(_BEGINS.match, first)) or all(
         _is_number(word) or not _BEGINS.match(number) for word, number in zip(first, second, strict=False)
     ):
         return
     raise BadInput(
-        f"the row below the header has words where the others have numbers: {clip(', '.join(first))}",
+        f"the row below the header has words where the others have numbers: {clip(', '.join(filter(None, first)))}",
         where=where,
         wanted="a file without that row; units may be part of the names, as mag_x_nT",
     )

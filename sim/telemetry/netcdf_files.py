@@ -206,7 +206,9 @@ class NetcdfFile:
 def read_table(path: Path | str, *, max_samples: int = MAX_SAMPLES, others: Sequence[str] = ()) -> FileTable:
     """The contract columns of a NetCDF file, and `others` where it has them. BadInput names the file and the fault."""
     with NetcdfFile(path, max_samples=max_samples) as opened:
-        names = opened.names()
+        names, attributes = opened.names(), opened.attributes()
+        if str(attributes.get("title")) == TRUTH_TITLE:
+            raise BadInput("is the truth of a simulation", where=opened.where, wanted="its telemetry (simulate --out)")
         if "time" not in names:
             listed = ", ".join(clip(name) for name in names[:12])
             raise BadInput(
@@ -224,7 +226,6 @@ def read_table(path: Path | str, *, max_samples: int = MAX_SAMPLES, others: Sequ
                 raise BadInput(
                     f"{name} has the shape {value.shape}, time has {time.shape}", where=opened.where, wanted="(time,)"
                 )
-        attributes = opened.attributes()
         stated = {name: opened.attributes(name).get("units") for name in found.named[DRIVERS.field].values()}
         units = {name: unit for name, unit in stated.items() if isinstance(unit, str) and unit != "1"}
         notices = list(found.notices)

@@ -127,6 +127,8 @@ class Telemetry(Shown):
     """What positions, attitude and readings were made from on reading; a file that is written does not keep it."""
 
     def __post_init__(self) -> None:
+        if np.asarray(self.time).dtype.kind in "biufc":  # numpy would count them in nanoseconds
+            raise BadInput("holds numbers, no stamps", where="time", wanted="UTC stamps, as datetime64")
         time = np.array(self.time, dtype="datetime64[ns]").reshape(-1)
         rows = time.size
         _check_time(time)

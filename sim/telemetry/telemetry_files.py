@@ -176,13 +176,16 @@ def _kind(path: Path | str) -> str:
         return "csv"
     if Path(path).is_dir():
         raise BadInput("is a folder", where=str(path), wanted=f"a {_SUFFIXES} file, or a column map for a folder")
-    refuse_toml(path)
-    matlab = " (in MATLAB, writetable makes a .csv of a table)" if name.endswith(".mat") else ""
-    raise BadInput("the kind of this file is not known from its name", where=str(path), wanted=f"{_SUFFIXES}{matlab}")
+    refuse_other(path)
+    raise BadInput("the kind of this file is not known from its name", where=str(path), wanted=_SUFFIXES)
 
 
-def refuse_toml(path: Path | str) -> None:
-    """Raises BadInput for what by its name is a scenario, a calibration or a column map."""
-    if Path(path).name.lower().endswith(".toml"):
+def refuse_other(path: Path | str) -> None:
+    """Raises BadInput for what by its name is a scenario, a calibration or a column map, or MATLAB's own."""
+    name = Path(path).name.lower()
+    if name.endswith(".mat"):
+        wanted = f"{_SUFFIXES} (in MATLAB, writetable makes a .csv of a table)"
+        raise BadInput("is a .mat file, which is not read", where=str(path), wanted=wanted)
+    if name.endswith(".toml"):
         wanted = "telemetry, as a .nc or .csv file; `fluxtwin simulate` makes it from a scenario"
         raise BadInput("is not telemetry but a scenario, a calibration or a column map", where=str(path), wanted=wanted)

@@ -12,6 +12,7 @@ import pytest
 from worlds import tumbling
 
 import fluxtwin
+from fluxtwin.calib.common.records import CONVENTION
 from fluxtwin.sim.scenario.scenario import parse_scenario
 
 SCENARIO = """
@@ -142,6 +143,20 @@ def test_yaw_needs_no_calibration_for_a_corrected_record(cli: Cli, flight: Path,
     assert sigma[1] == pytest.approx(sigma[0], rel=5e-3)  # the stamp gives the residual with three digits
     refused(cli("yaw", flight / f"raw.{suffix}"), "not corrected", "--calibration")
     refused(cli("yaw", flight / f"corrected.{suffix}", "--calibration", flight / "known.toml"), "corrected already")
+
+
+def test_a_calibration_that_was_not_fitted_states_no_residual(cli: Cli, flight: Path, tmp_path: Path) -> None:
+    """Written by hand, it says nothing of the error of a component: neither mark nor sigma of yaw take it for zero."""
+    by_hand, out = tmp_path / "hand.toml", tmp_path / "out.csv"
+    S = fluxtwin.Calibration.from_toml(flight / "known.toml").S.tolist()
+    by_hand.write_text(f'convention = "{CONVENTION}"\nS = {S}\nb_nT = [500.0, -300.0, 200.0]\n', encoding="utf-8")
+    applied = cli("apply", flight / "raw.nc", "--calibration", by_hand, "--out", out)
+    assert applied.status == 0 and "residual" not in applied.out  # type: ignore[attr-defined]
+    assert len(fluxtwin.read(out).corrected_by) == len("calibration 0123456789ab")
+    for words in (("yaw", flight / "raw.nc", "--calibration", by_hand), ("yaw", out)):
+        refused(cli(*words), "the error of a field component is not known")
+        assert cli(*words, "--sigma-nT", "20").status == 0  # type: ignore[attr-defined]
+    refused(cli("apply", out, "--calibration", by_hand, "--out", tmp_path / "twice.csv"), "corrected already")
 
 
 def test_a_calibration_of_corrected_readings_is_a_residual_one(cli: Cli, flight: Path, tmp_path: Path) -> None:

@@ -65,6 +65,7 @@ def test_simulate_with_effects_writes_them_to_the_truth_only(cli: Cli, tmp_path:
     plan, out, truth = (tmp_path / name for name in ("s.toml", "t.nc", "truth.nc"))
     plan.write_text(SCENARIO + "[effects.field_epoch]\nahead_yr = 2.0\n", encoding="utf-8")
     assert cli("simulate", plan, "--out", out, "--truth", truth).status == 0
+    assert "is the truth of a simulation. Wanted: its telemetry" in cli("calibrate", truth).err
     with xr.open_dataset(truth, engine="h5netcdf") as opened:
         assert json.loads(str(opened["effects"].values)) == {"field_epoch": {"ahead_yr": 2.0}}
     assert b"field_epoch" not in out.read_bytes()

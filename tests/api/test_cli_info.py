@@ -56,7 +56,7 @@ def test_yaw_lacks_nothing_where_nadir_gives_roll_and_pitch() -> None:
     flown, _ = fluxtwin.simulate(fluxtwin.load_scenario("cubesat").updated(changes))
     record = flown.replace(q_NB=None)
     assert fluxtwin.info(record).lacks["yaw"] == []
-    assert len(fluxtwin.yaw(record, fluxtwin.Calibration(np.zeros((3, 3)), np.zeros(3))).time) == 21
+    assert len(fluxtwin.yaw(record, fluxtwin.Calibration(np.zeros((3, 3)), np.zeros(3)), sigma_nT=1.0).time) == 21
 
 
 def test_info_lists_the_header_of_a_foreign_file(cli: Cli, tmp_path: Path) -> None:

@@ -64,6 +64,11 @@ def test_each_is_calibrated_and_the_shared_part_is_the_attitudes(cli: Cli, flown
     assert np.array_equal(alone.b_nT, second.b_nT)
 
 
+def test_the_next_steps_of_both_write_no_file_twice(cli: Cli, flown: Path) -> None:
+    said = " ".join(cli("calibrate", flown, "--both").out.split())
+    assert re.findall(r"--out (\S+\.toml)", said) == ["t-calibration.toml", "t-calibration-2.toml"]
+
+
 @pytest.mark.usefixtures("lawless")
 def test_the_diagnosis_says_what_it_used_of_the_other_and_how_to_ask_it(cli: Cli, flown: Path, tmp_path: Path) -> None:
     """Noise of 20 and 60 nT, 63 nT together; a magnetometer alone hears nothing of another."""

@@ -58,6 +58,7 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         ("map s.toml", "s.toml: is not telemetry"),
         ("diagnose t.csv --modelled bais", "no effect is called 'bais'; did you mean bias?"),
         ("diagnose t.csv --modelled bais,saturation", "did you mean bias?"),
+        ("calibrate t.csv --block-s -1", "fluxtwin: --block-s: -1.0. Wanted: seconds"),
     ],
 )
 def test_the_wrong_kind_of_thing_costs_one_line_that_says_what_it_is(

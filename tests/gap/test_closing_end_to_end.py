@@ -7,6 +7,7 @@ Every record has another seed, so noise, libration and attitude error are new. A
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -17,7 +18,7 @@ from worlds import COARSE_MAGNETOMETER, THERMAL, scenario_text
 
 from fluxtwin import diagnosing
 from fluxtwin.calib.common.apply import known_sigma_nT
-from fluxtwin.diagnosis_page import correcting
+from fluxtwin.diagnosis_page import correcting, next_step
 from fluxtwin.gap.held_out.closing import without_effects
 from fluxtwin.gap.records.diagnosis import Diagnosis
 from fluxtwin.sim.earth.field import load_field
@@ -101,6 +102,18 @@ def test_the_next_step_takes_out_what_apply_takes_out(name: str) -> None:
     noise_nT = scene.magnetometer.noise_nT
     assert out.telemetry.corrected_by.endswith(f" (noise {noise_nT:.3g} nT)"), "the residual is not known"
     assert known_sigma_nT(out.telemetry) == float(f"{noise_nT:.3g}")
+
+
+def test_the_next_step_asks_what_is_not_known() -> None:
+    """Which of two names that look alike; where a name or a law stands alone in an unknown gap, there is no such choice."""
+    found, _ = closed(f"[effects.thermal_bias_drift]\n{HOLDS['thermal_bias_drift']}\n")
+    (effect,) = found.effects
+    alike = replace(found, effects=[replace(effect, group=[effect.name, "bias_step"])])
+    alone = replace(found, effects=[replace(effect, group=[effect.name])], verdict="unknown")
+    for diagnosis, what in ((alike, "which it is"), (alone, "more")):
+        assert next_step(diagnosis, "a.csv", closed="c.toml").endswith(
+            f"fluxtwin plan a.csv proposes what to fly to find out {what}."
+        )
 
 
 def test_the_field_of_a_column_is_not_taken_out_where_the_column_is_missing() -> None:

@@ -324,6 +324,19 @@ def test_names_are_short_and_each_its_own() -> None:
     ]
 
 
+@pytest.mark.parametrize(
+    ("of", "label"),
+    [
+        (("array_current_A", "sunlit"), "array current times sunlight [A], 40 s late"),
+        (("temperature_degC",), "temperature [degC], 40 s late"),
+        (("sunlit",), "sunlight, 40 s late"),
+        (("driver_payload", "array_current_A"), "driver_payload times array current [unit A], 40 s late"),
+    ],
+)
+def test_the_axis_of_a_figure_has_the_unit_of_what_the_law_follows(of: tuple[str, ...], label: str) -> None:
+    assert words.axis_label(effect.Law(of=of, delay_s=40.0)) == label
+
+
 def test_a_switch_in_time_is_no_factor_to_read() -> None:
     sizes = {"x": (40.0, 1.0), "y": (0.5, 1.0), "z": (0.2, 1.0)}
 

@@ -14,6 +14,7 @@ from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.files import write_bytes
 from fluxtwin.sim.base.limits import MAX_SAMPLES, require_expansion, require_rows
 from fluxtwin.sim.telemetry.columns import PROVENANCE, clip, describe, file_columns, file_texts
+from fluxtwin.sim.telemetry.csv_files import require_no_units
 from fluxtwin.sim.telemetry.formats.table import Table, content_of, extra, in_ns
 from fluxtwin.sim.telemetry.quantities import RECORDED
 
@@ -72,10 +73,16 @@ def of_pandas(frame: Any, where: str = "DataFrame") -> Table:
     pd = _pandas()
     columns: dict[str, np.ndarray] = {}
     units = dict(frame.attrs.get("units", {}))
+    if frame.columns.nlevels > 1:
+        found = f"its columns have {frame.columns.nlevels} levels of names"
+        raise BadInput(found, where=where, wanted="one, with units in the names, as mag_x_nT")
     if not frame.columns.is_unique:
         twice = frame.columns[frame.columns.duplicated()][0]
         raise BadInput(f"column {clip(twice)} is there twice", where=where, wanted="every name once")
     timed = frame.get("time")
+    if timed is None and "time" in frame.index.names:  # stamps of any type, and one level of several
+        frame = frame.reset_index("time")
+        timed = frame["time"]
     if isinstance(frame.index, pd.DatetimeIndex) and timed is None:
         timed = frame.index.to_series()
         columns["time"] = _stamps(timed, "time", where)
@@ -84,6 +91,8 @@ def of_pandas(frame: Any, where: str = "DataFrame") -> Table:
         if isinstance(series.attrs.get("units"), str):  # a frame's own attributes are also those of its columns
             units[name] = series.attrs["units"]
         columns[str(name)] = _column(series, str(name), where)
+    first, second = ([_cell(value[row : row + 1]) for value in columns.values()] for row in (0, 1))
+    require_no_units(first, second, where)
     stamped = timed is not None and pd.api.types.is_datetime64_any_dtype(timed.dtype)
     notices = ["column time has no zone: taken as UTC"] if stamped and timed.dt.tz is None else []
     return Table(where, columns, {str(k): str(v) for k, v in units.items()}, _stated(frame.attrs), notices)
@@ -155,6 +164,14 @@ def _stated(attributes: Mapping[Any, Any]) -> dict[str, str]:
     texts = {str(key): value for key, value in attributes.items() if isinstance(value, str)}
     ours = {key.removeprefix(PROVENANCE): value for key, value in texts.items() if key.startswith(PROVENANCE)}
     return ({"spacecraft": texts["spacecraft"]} if "spacecraft" in texts else {}) | ours
+
+
+def _cell(value: np.ndarray) -> str:
+    """The one cell of a column, or none, as a CSV has it; 0 stands for any number or stamp, and what is missing is blank."""
+    if value.dtype.kind == "S":
+        return b"".join(value.tolist()).decode("utf-8").strip()
+    missing = np.isnat(value) if value.dtype.kind == "M" else np.isnan(value)
+    return "" if missing.all() else "0"
 
 
 def _column(series: Any, name: str, where: str) -> np.ndarray:

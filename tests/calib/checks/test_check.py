@@ -462,6 +462,7 @@ def test_what_was_not_compared_is_not_called_clean(model: FieldModel) -> None:
     assert (
         not without.traps and "without positions nothing was compared" in without.clean and "clean" not in without.clean
     )
+    assert "no positions (--tle FILE or a column map gives them)" in without.notes[0].text
 
 
 def test_missing_rows_and_gaps_are_notes(model: FieldModel) -> None:

@@ -252,10 +252,10 @@ def test_few_blocks_leave_the_covariance_regular() -> None:
 @pytest.mark.parametrize(
     ("given", "where"),
     [
-        ({"block_s": 1e-300}, "block_s"),
-        ({"attitude_sigma_deg": -1.0}, "attitude_sigma_deg"),
-        ({"attitude_sigma_deg": 1e300}, "attitude_sigma_deg"),
-        ({"attitude_tau_s": float("nan")}, "attitude_tau_s"),
+        ({"block_s": 1e-300}, "--block-s"),
+        ({"attitude_sigma_deg": -1.0}, "--attitude-sigma-deg"),
+        ({"attitude_sigma_deg": 1e300}, "--attitude-sigma-deg"),
+        ({"attitude_tau_s": float("nan")}, "--attitude-tau-s"),
         ({"robust": "cauchy"}, "robust"),
     ],
 )

@@ -164,6 +164,8 @@ def test_incomplete_rows_are_left_out_and_counted(seasat: Any) -> None:
     assert fit.rows[0] == 15
     with pytest.raises(NoAnswer, match="no row is complete: 325 rows have no reference attitude"):
         calibrate_linear(whole.replace(q_NB=None), seasat.model)
+    with pytest.raises(NoAnswer, match=r"325 rows have no position.*; --tle FILE gives positions"):
+        calibrate_linear(whole.replace(r_N_km=None, v_N_km_s=None), seasat.model)
     with pytest.raises(BadInput, match="no torquer dipole"):
         calibrate_linear(whole.replace(dipole_B_Am2=None), seasat.model, parameters="b,S,T")
 
@@ -175,12 +177,12 @@ def test_incomplete_rows_are_left_out_and_counted(seasat: Any) -> None:
         ({"method": "backward"}, "method"),
         ({"robust": "cauchy"}, "robust"),
         ({"covariance": "pink"}, "covariance"),
-        ({"noise_nT": -1.0}, "noise_nT"),
+        ({"noise_nT": -1.0}, "--noise-nT"),
         ({"weights": np.ones(3)}, "weights"),
         ({"weights": -np.ones(325)}, "weights"),
-        ({"block_s": 0.0}, "block_s"),
-        ({"field_error_nT": -1.0}, "field_error_nT"),
-        ({"field_error_nT": float("nan")}, "field_error_nT"),
+        ({"block_s": 0.0}, "--block-s"),
+        ({"field_error_nT": -1.0}, "--field-error-nT"),
+        ({"field_error_nT": float("nan")}, "--field-error-nT"),
         ({"method": "forward", "errors_in_variables": True}, "errors_in_variables"),
     ],
 )

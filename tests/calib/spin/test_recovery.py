@@ -283,8 +283,8 @@ def test_a_sun_along_the_axis_is_refused(rows: SpinRows) -> None:
     [
         ({"parameters": "b"}, "b,S with method batch"),
         ({"robust": "huber"}, "tukey or none"),
-        ({"sun_sigma_deg": -1.0}, "sun_sigma_deg"),
-        ({"inertia_ratio": 2.5}, "inertia_ratio"),
+        ({"sun_sigma_deg": -1.0}, "--sun-sigma-deg"),
+        ({"inertia_ratio": 2.5}, "--inertia-ratio"),
         ({"covariance": "pink"}, "covariance"),
     ],
 )

@@ -501,6 +501,17 @@ def test_a_fill_value_of_a_quaternion_is_guessed_too(tmp_path: Path) -> None:
     assert found.q_NB is not None and found.q_NB[3] == pytest.approx([0.0, 0.6, 0.0, 0.8]), "interpolated"
 
 
+def test_a_place_in_radians_by_its_names_is_turned_into_degrees(tmp_path: Path) -> None:
+    turns, high = np.linspace(-1.2, 1.2, 200), np.full(200, 550.0)
+    records = []
+    for ends, place in (("deg", np.degrees(turns)), ("rad", turns)):
+        names = triple(f"lat_{ends} lon_{ends} alt_km", np.column_stack([place, place, high]))
+        path = table(tmp_path / f"{ends}.csv", {"t": UNIX, **triple("bx_nT by_nT bz_nT", MAG), **names})
+        (tmp_path / f"{ends}.toml").write_text(draft([path]), encoding="utf-8")
+        records.append(read_telemetry(path, column_map=tmp_path / f"{ends}.toml"))
+    assert np.allclose(*[record.r_N_km for record in records], rtol=1e-12, atol=1e-6)
+
+
 @pytest.mark.parametrize(("size", "unit"), [(0.2, "Am2"), (200.0, "mAm2")])
 def test_a_dipole_that_no_small_torquer_has_is_in_thousandths(tmp_path: Path, size: float, unit: str) -> None:
     rows = [f"2026-03-01T00:00:{second:02d}Z,{size},0,{-size}" for second in range(60)]
@@ -530,6 +541,13 @@ def test_bare_names_of_a_unit_norm_are_a_quaternion_and_a_place_has_fill_values(
     assert 'frame = "geodetic", fill = [-9999.0] }' in text
     columns["w"] = 2.0 * columns["w"]
     assert "attitude = { from" not in draft([table(tmp_path / "data.csv", columns)])
+
+
+def test_a_draft_says_of_a_file_that_is_no_text_that_it_is_none(tmp_path: Path) -> None:
+    for name, said in (("a.mat", "writetable makes a .csv"), ("a.fits", "damaged or not text")):
+        (tmp_path / name).write_bytes(b"SIMPLE  =                    T\xc0\0\n")
+        with pytest.raises(BadInput, match=said):
+            draft([tmp_path / name])
 
 
 def test_a_row_of_units_below_the_header_is_named(tmp_path: Path) -> None:

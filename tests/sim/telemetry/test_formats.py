@@ -116,11 +116,38 @@ def test_a_damaged_file_is_named(tmp_path: Path, ending: str) -> None:
     [
         (pd.DataFrame([[1, 2]], columns=["mag_x_nT"] * 2), "mag_x_nT is there twice"),
         (pd.DataFrame({"time": np.array(["2026", "2500"], dtype="datetime64[s]")}), "time in row 2 is 2500-01-01"),
+        (pd.DataFrame({("time", "UTC"): [1], ("mag_x", "nT"): [2]}), "its columns have 2 levels of names"),
+        (
+            pd.DataFrame({"time": ["UTC", "2026-03-01"], "mag_x": ["nT", 3.0], "mode": [None, "safe"]}),
+            "words where the others have numbers: UTC, nT. Wanted",
+        ),
     ],
 )
 def test_a_frame_that_cannot_be_meant_is_refused(frame: pd.DataFrame, said: str) -> None:
     with pytest.raises(BadInput, match=said):
         fluxtwin.read(frame)
+
+
+@pytest.mark.parametrize("ending", [".xlsx", ".parquet"])
+def test_a_row_of_units_is_named_whatever_reads_it(record: fluxtwin.Telemetry, tmp_path: Path, ending: str) -> None:
+    """As the CSV says it, to `read` and to `draft_map`."""
+    pytest.importorskip({".xlsx": "openpyxl", ".parquet": "pyarrow"}[ending])
+    frame = pd.read_csv(fluxtwin.write(record, tmp_path / "t.csv"), dtype=str)
+    units = pd.DataFrame([{name: name.rpartition("_")[2] for name in frame}])
+    path = tmp_path / f"t{ending}"
+    getattr(pd.concat([units, frame]), {".xlsx": "to_excel", ".parquet": "to_parquet"}[ending])(path, index=False)
+    for verb in (fluxtwin.read, fluxtwin.draft_map):
+        with pytest.raises(
+            BadInput, match="the row below the header has words where the others have numbers: time, km"
+        ):
+            verb(path)
+
+
+def test_stamps_are_found_in_any_index_of_their_name(record: fluxtwin.Telemetry) -> None:
+    frame = record.to_pandas()
+    periods = frame.set_axis(frame.index.tz_localize(None).to_period("s").rename("time"))
+    for given in (periods, frame.assign(spacecraft="A").set_index("spacecraft", append=True)):
+        assert (fluxtwin.read(given).time == record.time).all()
 
 
 def test_foreign_texts_stand_in_no_ones_way(record: fluxtwin.Telemetry) -> None:

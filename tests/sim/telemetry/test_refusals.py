@@ -33,6 +33,13 @@ def entry(columns: str, time: str = TIME, path: str = "") -> str:
     return f"[[file]]\n{path}\ntime = {time}\n[file.columns]\n{columns}\n"
 
 
+@pytest.mark.parametrize("kind", ["f", "i"])
+def test_numbers_are_no_stamps(kind: str) -> None:
+    """Seconds, which numpy would take for nanoseconds since 1970."""
+    with pytest.raises(BadInput, match="time: holds numbers, no stamps"):
+        fluxtwin.Telemetry(time=np.arange(2).astype(kind), mag_B_nT=np.ones((2, 3)))
+
+
 @pytest.mark.parametrize(
     ("toml", "said"),
     [

@@ -207,7 +207,7 @@ def test_usual_forms_of_iso_stamps_are_read(tmp_path: Path, form: str) -> None:
 def test_unknown_columns_are_left_out_with_a_notice(tmp_path: Path) -> None:
     lines = [f"{line},{extra}" for line, extra in zip(plain_lines(), ["mood", "a", "b", "c", "d"], strict=True)]
     assert (
-        "left out (call one driver_NAME to test its field): mood"
+        "left out (a column map reads them, or call one driver_NAME to test its field): mood"
         in read_telemetry(save(tmp_path, lines)).provenance["notices"]
     )
 

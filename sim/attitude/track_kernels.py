@@ -197,6 +197,17 @@ def turned(
     return out
 
 
+@kernel(error_model="numpy")
+def turn_between(before_q: FloatArray, after_q: FloatArray) -> FloatArray:
+    """(M, 3) rotation vector of the short way from `before_q` to `after_q` (M, 4)."""
+    out, apart = np.empty((before_q.shape[0], 3)), np.empty(4)
+    for m in range(before_q.shape[0]):
+        _inverse(before_q[m], apart)
+        _times(after_q[m], apart, apart)
+        _as_rotvec(apart, out[m])
+    return out
+
+
 @part(error_model="numpy")
 def _pull(r_km: FloatArray, pull: FloatArray) -> None:
     """km/s2, the Earth's axis taken along z of GCRS."""

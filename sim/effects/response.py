@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import partial, reduce
+from functools import cache, partial, reduce
 from itertools import combinations_with_replacement
 from typing import ClassVar, Literal, get_args
 
@@ -30,6 +30,7 @@ _DEPTHS_NT = (500.0, 1000.0, 2000.0, 4000.0, 8000.0)
 """Further apart, a fit may begin where no reading is clipped, and stay there."""
 
 
+@cache
 def monomials(degree: int) -> tuple[str, ...]:
     """Names of the products of `degree` components: xx xy xz yy yz zz, or xxx xxy ... zzz."""
     return tuple("".join(letters) for letters in combinations_with_replacement("xyz", degree))

@@ -15,7 +15,7 @@ from fluxtwin.sim.attitude import smoothed_track
 from fluxtwin.sim.attitude.gauss_markov import gauss_markov
 from fluxtwin.sim.attitude.recorded_motion import RecordedAttitudes, RecordedMotion, carried
 from fluxtwin.sim.attitude.smoothed_track import smoothed
-from fluxtwin.sim.attitude.track_kernels import blended, turned
+from fluxtwin.sim.attitude.track_kernels import blended, turn_between, turned
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.earth.orbit import Orbit
@@ -493,3 +493,9 @@ def test_a_turn_by_rates_is_the_product_of_its_steps() -> None:
     slope[:, 0] = [[0.0] * 3, pieces[0]]
     assert missed(slope) < 1e-14
     assert missed(np.roll(pieces, 1, axis=0)[None]) > 1e-3
+
+
+def test_the_turn_between_two_attitudes_is_the_short_way() -> None:
+    first, second = Rotation.random(50, random_state=5), Rotation.random(50, random_state=6)
+    found = turn_between(first.as_quat(), -second.as_quat())
+    assert np.allclose(found, (second * first.inv()).as_rotvec(), atol=1e-12)

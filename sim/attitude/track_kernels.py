@@ -216,7 +216,7 @@ def _pull(r_km: FloatArray, pull: FloatArray) -> None:
     flat = 1.5 * J2_EARTH * EARTH_RADIUS_KM**2 / square
     for axis in range(3):
         own = 3.0 if axis == 2 else 1.0
-        pull[axis] = GM_EARTH_KM3_S2 * r_km[axis] / square**1.5 * (flat * (axial - own) - 1.0)
+        pull[axis] = GM_EARTH_KM3_S2 * r_km[axis] / (square * np.sqrt(square)) * (flat * (axial - own) - 1.0)
 
 
 @kernel(uses=(constants,), error_model="numpy")

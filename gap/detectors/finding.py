@@ -109,10 +109,12 @@ class Fitted:
 
 def fitted(left: ProjectedResidual, columns: FloatArray, further: int = 0) -> Fitted:
     """Fit columns (N, 3, k). further: parameters that were searched for besides the coefficients."""
-    free, energy = left.project(columns)
-    values, vectors = np.linalg.eigh(free.T @ free)
-    live = values > SHARE_LEFT * energy.max()
-    along = vectors[:, live].T @ (free.T @ left.residual)
+    white = left.whitener.apply(np.ascontiguousarray(columns)).reshape(left.residual.size, -1)
+    known, gram = left.basis.T @ white, white.T @ white
+    # The rounding of these products is far below the share that a direction must have left.
+    values, vectors = np.linalg.eigh(gram - known.T @ known)
+    live = values > SHARE_LEFT * float(np.diag(gram).max())
+    along = vectors[:, live].T @ (white.T @ left.residual)
     gain, rank = float(np.sum(along**2 / values[live])), int(live.sum())
     variance = max((left.energy - gain) / max(left.degrees - rank - further, 1), 1e-300)
     inverse = (vectors[:, live] / values[live]) @ vectors[:, live].T

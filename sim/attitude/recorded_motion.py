@@ -18,7 +18,6 @@ from fluxtwin.sim.attitude import smoothed_track as attitude_track
 from fluxtwin.sim.attitude.smoothed_track import AttitudeTrack
 from fluxtwin.sim.base.types import BoolArray, FloatArray, TimeArray
 from fluxtwin.sim.earth import epoch, frames
-from fluxtwin.sim.earth.constants import EARTH_RADIUS_KM, GM_EARTH_KM3_S2, J2_EARTH
 
 _STEP_S = 60.0  # of the integration from a recorded position: 1e-4 km
 _REMEMBERED = 6
@@ -74,8 +73,7 @@ class RecordedMotion:
 
     def orbit(self, offset_s: float | FloatArray) -> tuple[FloatArray, FloatArray]:
         """Position and velocity (N, 3) as `at` has them, without the attitude, which takes most of the time."""
-        stretch = attitude_track.stretches(self.seconds)
-        place = attitude_track.places(self.seconds, stretch, self.seconds + offset_s)
+        place = attitude_track.places(self.seconds, self._stretch, self.seconds + offset_s)
         r, v = carried(self.r_N_km[place.row], self.v_N_km_s[place.row], place.after_s)
         blended = np.flatnonzero(place.weights)
         if blended.size:
@@ -136,6 +134,11 @@ class RecordedMotion:
     def seconds(self) -> FloatArray:
         """(N,) elapsed seconds from the first stamp."""
         return epoch.seconds_since(self.time, self.time[0])
+
+    @cached_property
+    def _stretch(self) -> attitude_track.RowArray:
+        """(N,)"""
+        return attitude_track.stretches(self.seconds)
 
     @cached_property
     def smoothed(self) -> AttitudeTrack:
@@ -211,25 +214,7 @@ class RecordedMotion:
 
 def carried(r_N_km: FloatArray, v_N_km_s: FloatArray, after_s: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Position and velocity (M, 3) `after_s` (M,) later, by the pull of the Earth with its flattening (Runge-Kutta)."""
-    r, v = np.array(r_N_km), np.array(v_N_km_s)
+    from fluxtwin.sim.attitude import track_kernels
+
     steps = max(1, int(np.ceil(float(np.abs(after_s).max(initial=0.0)) / _STEP_S)))
-    h = (np.asarray(after_s) / steps)[:, None]
-    for _ in range(steps):
-        a1 = _pull(r)
-        v2 = v + 0.5 * h * a1
-        a2 = _pull(r + 0.5 * h * v)
-        v3 = v + 0.5 * h * a2
-        a3 = _pull(r + 0.5 * h * v2)
-        v4 = v + h * a3
-        a4 = _pull(r + h * v3)
-        r = r + h / 6.0 * (v + 2.0 * v2 + 2.0 * v3 + v4)
-        v = v + h / 6.0 * (a1 + 2.0 * a2 + 2.0 * a3 + a4)
-    return r, v
-
-
-def _pull(r_N_km: FloatArray) -> FloatArray:
-    """(M, 3) km/s2, the Earth's axis taken along z of GCRS."""
-    square = np.einsum("nc,nc->n", r_N_km, r_N_km)[:, None]
-    axial = 5.0 * r_N_km[:, 2:] ** 2 / square
-    flat = 1.5 * J2_EARTH * EARTH_RADIUS_KM**2 / square * (axial - np.array([1.0, 1.0, 3.0]))
-    return np.asarray(GM_EARTH_KM3_S2 * r_N_km / square**1.5 * (flat - 1.0))
+    return track_kernels.carried(r_N_km, v_N_km_s, after_s / steps, steps)

@@ -9,12 +9,11 @@ shares its error with its neighbours, and those next to it would predict it best
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache, cached_property
 from itertools import pairwise
 from math import factorial
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -86,14 +85,16 @@ class _Course:
     rate_B_rad_s: FloatArray
     integrated: Rotation | None = None
     """From the first stamp to each, by gyro; None where each stamp's own rate is kept."""
-    between: Callable[[FloatArray], FloatArray] | None = None
-    """(M, 3) rates at moments (M,), by gyro."""
+    by_gyro: tuple[FloatArray, FloatArray] | None = None
+    """Rates between stamps as `track_kernels.turned` takes them."""
 
     def onward(self, here: RowArray, after_s: FloatArray) -> FloatArray:
-        """(n, 3) rotation vector in body axes from stamps `here` by `after_s` (n,)."""
-        if self.between is None:
-            return np.asarray(self.rate_B_rad_s[here] * after_s[:, None])
-        return -_turned(self.between, self.time_s[here], after_s).as_rotvec()
+        """(n, 4) turn of the body, from axes to axes, from stamps `here` by `after_s` (n,)."""
+        from fluxtwin.sim.attitude.track_kernels import steady, turned
+
+        if self.by_gyro is None:
+            return steady(here, after_s, self.rate_B_rad_s)
+        return turned(*self.by_gyro, self.time_s[here], after_s, _PARTS)
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,10 +165,10 @@ class AttitudeTrack:
         from fluxtwin.sim.attitude.track_kernels import blended
 
         place = places(self.time_s, self.stretch, moments_s)
-        first = self._about(place.row, place.after_s, place.other)
+        first = self._about(place.row, place.after_s)
         if not place.weights.any():
             return Rotation.from_quat(first)
-        second = self._about(place.other, place.other_after_s, place.row)
+        second = self._about(place.other, place.other_after_s)
         return Rotation.from_quat(blended(first, second, place.weights))
 
     def onward(self, offset_s: float | FloatArray, rows: RowArray | None = None) -> Rotation:
@@ -180,11 +181,9 @@ class AttitudeTrack:
         from fluxtwin.sim.attitude.track_kernels import blended
 
         rows = np.arange(self.time_s.size, dtype=np.intp) if rows is None else rows
-        after = np.broadcast_to(np.asarray(offset_s, dtype=np.float64), rows.shape)
-        to = np.clip(rows + np.sign(after).astype(np.intp), 0, self.time_s.size - 1)
-        to = np.where(self.stretch[to] == self.stretch[rows], to, rows)
+        after = np.full(rows.shape, offset_s, dtype=np.float64)
         here = self._from_fit[rows]
-        own = frames.product(Rotation.from_quat(self._about(rows, after, to)), here)
+        own = frames.product(Rotation.from_quat(self._about(rows, after)), here)
         reach_s = self._reach_s[rows]
         beyond = np.clip(2.0 * np.abs(after) / np.where(reach_s > 0, reach_s, np.inf) - 1.0, 0.0, 1.0)
         if not beyond.any():
@@ -197,25 +196,18 @@ class AttitudeTrack:
         place = places(self.time_s, self.stretch, moments_s)
         return np.asarray((place.other != place.row) | (np.abs(place.after_s) <= 0.501 * self._reach_s[place.row]))
 
-    def _about(self, row: RowArray, after_s: FloatArray, to: RowArray) -> FloatArray:
+    def _about(self, row: RowArray, after_s: FloatArray) -> FloatArray:
         """(M, 4) quaternions of the fit about stamps `row` (M,), `after_s` later."""
         from fluxtwin.sim.attitude.track_kernels import about
 
-        return about(
-            after_s,
-            self._reach_s[row],
-            self.mid_s[row],
-            self.span_s[row],
-            self.coefficients_rad[row],
-            self.course.onward(row, after_s),
-            self._q_BN[row],
-        )
+        fits = (self._reach_s, self.mid_s, self.span_s, self.coefficients_rad)
+        return about(row, after_s, *fits, self.course.onward(row, after_s), self._q_BN)
 
     @cached_property
     def _from_fit(self) -> Rotation:
         """(N,) from the fit about each stamp, at that stamp."""
         rows = np.arange(self.time_s.size, dtype=np.intp)
-        return Rotation.from_quat(self._about(rows, np.zeros(rows.size), rows)).inv()
+        return Rotation.from_quat(self._about(rows, np.zeros(rows.size))).inv()
 
     @cached_property
     def _q_BN(self) -> FloatArray:
@@ -266,7 +258,8 @@ def smoothed(time_s: FloatArray, R_BN: Rotation, gyro_B_rad_s: FloatArray | None
     sums = _moments(R_BN, stretch, course, np.arange(time_s.size, dtype=np.intp), half, degree, np.zeros(1))
     fit = sums.fit(degree)
     own_weight = sums.off(fit)[2][:, 0]
-    return AttitudeTrack(time_s, R_BN, stretch, course, fit[:, :, :3], sums.mid_s, sums.span_s, half, own_weight)
+    turns = np.ascontiguousarray(fit[:, :, :3])
+    return AttitudeTrack(time_s, R_BN, stretch, course, turns, sums.mid_s, sums.span_s, half, own_weight)
 
 
 def _steady_rate(time_s: FloatArray, R_BN: Rotation, stretch: RowArray) -> FloatArray:
@@ -283,7 +276,9 @@ def _steady_rate(time_s: FloatArray, R_BN: Rotation, stretch: RowArray) -> Float
 
 def _by_gyro(time_s: FloatArray, rate_B_rad_s: FloatArray, stretch: RowArray) -> _Course:
     """The course by gyro: a spline through its rates, for a wobble that turns far from one stamp to the next."""
-    from scipy.interpolate import PPoly, make_interp_spline  # here: it takes a fifth of a second to load
+    from scipy.interpolate import make_interp_spline  # here: it takes a fifth of a second to load
+
+    from fluxtwin.sim.attitude.track_kernels import turned
 
     ends = np.flatnonzero(np.diff(stretch, prepend=-1, append=stretch[-1] + 1))
     degree = min(5, int(np.diff(ends).max()) - 1)
@@ -296,19 +291,14 @@ def _by_gyro(time_s: FloatArray, rate_B_rad_s: FloatArray, stretch: RowArray) ->
         for power in range(k + 1):
             pieces[-1][degree - power, :-1] = spline(breaks_s[-1][:-1], nu=power) / factorial(power)
         pieces[-1][-1, -1] = rate_B_rad_s[high - 1]
-    rates: Any = PPoly(np.concatenate(pieces, axis=1), np.concatenate([*breaks_s, time_s[-1:] + 1.0]))
-    starts_s, ends_s = time_s[ends[:-1]], time_s[ends[1:] - 1]
-
-    def between(moments_s: FloatArray) -> FloatArray:
-        own = np.searchsorted(starts_s[1:], moments_s, side="right")
-        return np.asarray(rates(np.clip(moments_s, starts_s[own], ends_s[own])))
-
-    whole = Rotation.concatenate([Rotation.identity(), _turned(between, time_s[:-1], np.diff(time_s))])
+    rates = np.concatenate(breaks_s), np.concatenate(pieces, axis=1)
+    steps = Rotation.from_quat(turned(*rates, time_s[:-1], np.diff(time_s), _PARTS))
+    whole = Rotation.concatenate([Rotation.identity(), steps])
     shift = 1
     while shift < time_s.size:  # products of 2, 4, 8, ... steps
         whole = Rotation.concatenate([whole[:shift], frames.product(whole[shift:], whole[:-shift])])
         shift *= 2
-    return _Course(time_s, rate_B_rad_s, whole, between)
+    return _Course(time_s, rate_B_rad_s, whole, rates)
 
 
 def _missed_rad(R_BN: Rotation, stretch: RowArray, course: _Course) -> float:
@@ -318,18 +308,6 @@ def _missed_rad(R_BN: Rotation, stretch: RowArray, course: _Course) -> float:
         return 0.0
     said = course.integrated[joined + 1] * course.integrated[joined].inv()
     return float(np.median((R_BN[joined + 1] * R_BN[joined].inv() * said.inv()).magnitude()))
-
-
-def _turned(rates: Callable[[FloatArray], FloatArray], from_s: FloatArray, after_s: FloatArray) -> Rotation:
-    """The turn of the body (from axes to axes) over `after_s` from moments `from_s`, both (n,), in `_PARTS` steps of fourth
-    order each (Magnus: Iserles & Norsett 1999, Phil. Trans. R. Soc. A 357, 983)."""
-    from fluxtwin.sim.attitude.track_kernels import turned
-
-    step_s = after_s / _PARTS
-    apart_s = step_s / np.sqrt(12.0)
-    middles_s = [from_s + (part + 0.5) * step_s for part in range(_PARTS)]
-    rates_B = rates(np.concatenate([middle_s + side * apart_s for middle_s in middles_s for side in (-1.0, 1.0)]))
-    return Rotation.from_quat(turned(rates_B.reshape(_PARTS, 2, -1, 3), step_s))
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 
 from fluxtwin.sim.base.kernel_cache import kernel, part
 from fluxtwin.sim.base.types import FloatArray
+from fluxtwin.sim.earth import constants
+from fluxtwin.sim.earth.constants import EARTH_RADIUS_KM, GM_EARTH_KM3_S2, J2_EARTH
 
 LARGEST_TURN_RAD = 2.0
 """What is left of the turn to a neighbour, beyond which the short way is ambiguous."""
@@ -111,52 +113,80 @@ def moments(
 
 @kernel(error_model="numpy")
 def about(
+    row: NDArray[np.intp],
     after_s: FloatArray,
     reach_s: FloatArray,
     mid_s: FloatArray,
     span_s: FloatArray,
     coefficients_rad: FloatArray,
-    onward_B_rad: FloatArray,
+    onward: FloatArray,
     q_BN: FloatArray,
 ) -> FloatArray:
-    """(M, 4) attitudes `after_s` (M,) after the stamps whose fits are given, one a row.
+    """(M, 4) attitudes `after_s` (M,) after the stamps `row` (M,) of N.
 
-    coefficients_rad (M, d + 1, 3) of the turn beside the course in powers of z = (t - mid) / span, in a straight line
-    beyond reach_s (M,); onward_B_rad (M, 3): rotation vector of the course, in body axes.
+    coefficients_rad (N, d + 1, 3) of the turn beside the course in powers of z = (t - mid) / span, in a straight line
+    beyond reach_s (N,); onward (M, 4): turn of the course.
     """
     out = np.empty((after_s.size, 4))
     turn, slope, own = np.empty(3), np.empty(3), np.empty(4)
     for m in range(after_s.size):
-        within = min(max(after_s[m], -reach_s[m]), reach_s[m])
-        z = (within - mid_s[m]) / span_s[m]
+        n = row[m]
+        within = min(max(after_s[m], -reach_s[n]), reach_s[n])
+        z = (within - mid_s[n]) / span_s[n]
         turn[:], slope[:] = 0.0, 0.0
         for power in range(coefficients_rad.shape[1] - 1, -1, -1):
             for axis in range(3):
                 slope[axis] = slope[axis] * z + turn[axis]
-                turn[axis] = turn[axis] * z + coefficients_rad[m, power, axis]
-        beyond = (after_s[m] - within) / span_s[m]
+                turn[axis] = turn[axis] * z + coefficients_rad[n, power, axis]
+        beyond = (after_s[m] - within) / span_s[n]
         for axis in range(3):
             turn[axis] += slope[axis] * beyond
         _from_rotvec(turn[0], turn[1], turn[2], own)
-        _times(own, q_BN[m], own)
-        _from_rotvec(-onward_B_rad[m, 0], -onward_B_rad[m, 1], -onward_B_rad[m, 2], out[m])
-        _times(out[m], own, out[m])
+        _times(own, q_BN[n], own)
+        _times(onward[m], own, out[m])
     return out
 
 
 @kernel(error_model="numpy")
-def turned(rates_B_rad_s: FloatArray, step_s: FloatArray) -> FloatArray:
-    """(M, 4) turn of the axes of a body over P steps of step_s (M,) each, to fourth order in a step.
+def steady(row: NDArray[np.intp], after_s: FloatArray, rate_B_rad_s: FloatArray) -> FloatArray:
+    """(M, 4) turn of the axes of a body over after_s (M,) at the rate (N, 3) of each `row` (M,)."""
+    out = np.empty((after_s.size, 4))
+    for m in range(after_s.size):
+        x, y, z = rate_B_rad_s[row[m]]
+        _from_rotvec(-x * after_s[m], -y * after_s[m], -z * after_s[m], out[m])
+    return out
 
-    rates_B_rad_s (P, 2, M, 3): body rates at the two points of Gauss in each step.
+
+@kernel(error_model="numpy")
+def turned(
+    breaks_s: FloatArray, pieces_rad_s: FloatArray, from_s: FloatArray, after_s: FloatArray, parts: int
+) -> FloatArray:
+    """(M, 4) turn of the axes of a body over after_s (M,) from moments from_s (M,), in so many steps of fourth order each
+    (Magnus: Iserles & Norsett 1999, Phil. Trans. R. Soc. A 357, 983).
+
+    pieces_rad_s (k, n, 3): body rates in falling powers of the time since each of the rising breaks (n,); before the first
+    they are those there.
     """
-    out = np.zeros((step_s.size, 4))
-    own = np.empty(4)
-    for m in range(step_s.size):
-        half, bent = -0.5 * step_s[m], np.sqrt(3.0) / 12.0 * step_s[m] ** 2
+    out = np.zeros((after_s.size, 4))
+    own, rates, piece, last = np.empty(4), np.empty((2, 3)), 0, pieces_rad_s.shape[1] - 1
+    for m in range(after_s.size):
+        step_s = after_s[m] / parts
+        half, bent = -0.5 * step_s, np.sqrt(3.0) / 12.0 * step_s**2
         out[m, 3] = 1.0
-        for step in range(rates_B_rad_s.shape[0]):
-            a, b = rates_B_rad_s[step, 0, m], rates_B_rad_s[step, 1, m]
+        for step in range(parts):
+            for side in range(2):  # the two points of Gauss
+                moment_s = from_s[m] + (step + 0.5) * step_s + (2 * side - 1) * step_s / np.sqrt(12.0)
+                moment_s = max(moment_s, breaks_s[0])
+                while piece < last and moment_s >= breaks_s[piece + 1]:
+                    piece += 1
+                while moment_s < breaks_s[piece]:
+                    piece -= 1
+                since_s = moment_s - breaks_s[piece]
+                rates[side] = 0.0
+                for power in range(pieces_rad_s.shape[0]):
+                    for axis in range(3):
+                        rates[side, axis] = rates[side, axis] * since_s + pieces_rad_s[power, piece, axis]
+            a, b = rates
             _from_rotvec(
                 half * (a[0] + b[0]) + bent * (b[1] * a[2] - b[2] * a[1]),
                 half * (a[1] + b[1]) + bent * (b[2] * a[0] - b[0] * a[2]),
@@ -165,6 +195,50 @@ def turned(rates_B_rad_s: FloatArray, step_s: FloatArray) -> FloatArray:
             )
             _times(own, out[m], out[m])
     return out
+
+
+@kernel(error_model="numpy")
+def turn_between(before_q: FloatArray, after_q: FloatArray) -> FloatArray:
+    """(M, 3) rotation vector of the short way from `before_q` to `after_q` (M, 4)."""
+    out, apart = np.empty((before_q.shape[0], 3)), np.empty(4)
+    for m in range(before_q.shape[0]):
+        _inverse(before_q[m], apart)
+        _times(after_q[m], apart, apart)
+        _as_rotvec(apart, out[m])
+    return out
+
+
+@part(error_model="numpy")
+def _pull(r_km: FloatArray, pull: FloatArray) -> None:
+    """km/s2, the Earth's axis taken along z of GCRS."""
+    square = r_km[0] * r_km[0] + r_km[1] * r_km[1] + r_km[2] * r_km[2]
+    axial = 5.0 * r_km[2] ** 2 / square
+    flat = 1.5 * J2_EARTH * EARTH_RADIUS_KM**2 / square
+    for axis in range(3):
+        own = 3.0 if axis == 2 else 1.0
+        pull[axis] = GM_EARTH_KM3_S2 * r_km[axis] / (square * np.sqrt(square)) * (flat * (axial - own) - 1.0)
+
+
+@kernel(uses=(constants,), error_model="numpy")
+def carried(r_N_km: FloatArray, v_N_km_s: FloatArray, step_s: FloatArray, steps: int) -> tuple[FloatArray, FloatArray]:
+    """Position and velocity (M, 3) so many steps of step_s (M,) later, by the pull of the Earth with its flattening
+    (Runge-Kutta)."""
+    r_out, v_out = r_N_km.copy(), v_N_km_s.copy()
+    pull, speed, place = np.empty((4, 3)), np.empty((4, 3)), np.empty(3)
+    for m in range(step_s.size):
+        r, v, h = r_out[m], v_out[m], step_s[m]
+        for _ in range(steps):
+            pull[-1], speed[-1] = 0.0, 0.0  # the first stage adds none
+            for stage in range(4):
+                share = (0.0, 0.5, 0.5, 1.0)[stage] * h
+                for axis in range(3):
+                    place[axis] = r[axis] + share * speed[stage - 1, axis]
+                    speed[stage, axis] = v[axis] + share * pull[stage - 1, axis]
+                _pull(place, pull[stage])
+            for axis in range(3):
+                r[axis] += h / 6.0 * (speed[0, axis] + 2.0 * speed[1, axis] + 2.0 * speed[2, axis] + speed[3, axis])
+                v[axis] += h / 6.0 * (pull[0, axis] + 2.0 * pull[1, axis] + 2.0 * pull[2, axis] + pull[3, axis])
+    return r_out, v_out
 
 
 @kernel(error_model="numpy")

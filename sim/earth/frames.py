@@ -23,6 +23,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import lru_cache
+from typing import Any
 
 import erfa
 import numpy as np
@@ -228,14 +229,20 @@ def on_grid(days: FloatArray, function: Callable[[FloatArray], FloatArray], step
     days: (N,) in any order. function: (M,) -> (M, K), smooth over a few steps. Where the grid would not
     save work (few rows, or rows far apart) the function itself is called.
     """
-    first, last = float(days.min()), float(days.max())
-    nodes = int(np.ceil((last - first) / step_days)) + 1 + 2 * _MARGIN
+    first, last = int(np.floor(days.min() / step_days)), int(np.ceil(days.max() / step_days))
+    nodes = last - first + 1 + 2 * _MARGIN
     if days.size <= 2 * nodes:
         return function(days)
-    grid: FloatArray = first + step_days * (np.arange(nodes, dtype=np.float64) - _MARGIN)
+    return np.asarray(_spline(function, first - _MARGIN, nodes, step_days)(days))
+
+
+@lru_cache(maxsize=8)
+def _spline(function: Callable[[FloatArray], FloatArray], first: int, nodes: int, step_days: float) -> Any:
+    """Through `nodes` whole multiples of the step from the `first` on: stamps that are a little later are on the same."""
     from scipy.interpolate import CubicSpline  # here: it takes a fifth of a second to load
 
-    return np.asarray(CubicSpline(grid, function(grid))(days))
+    grid: FloatArray = step_days * np.arange(first, first + nodes, dtype=np.float64)
+    return CubicSpline(grid, function(grid))
 
 
 def _days_tt(time: TimeArray | np.datetime64) -> FloatArray:

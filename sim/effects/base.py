@@ -193,7 +193,8 @@ class SpacecraftField(SignalEffect):
         raise NotImplementedError
 
     def apply(self, signal: Signal, theta: FloatArray) -> Signal:
-        values = self.values(signal.setting)
+        setting = signal.setting
+        values = setting.once(self, lambda: self.values(setting))  # a fit asks for the same one thousands of times
         if values is None:
             return signal
         field = values[:, None] * theta if values.ndim == 1 else mapped(theta.reshape(3, 3), values)

@@ -30,7 +30,6 @@ TIME_CONSTANTS_S = (300.0, 900.0, 2700.0)
 """Thermal time constants tried where no temperature was recorded: a boom's sensor to one inside the body."""
 STANDARD_SWING_K = 20.0
 """Swing of the equilibrium temperature between shadow and sun where no temperature was recorded."""
-_REMEMBERED = 8
 
 
 def lit(setting: Setting) -> FloatArray:
@@ -148,18 +147,18 @@ def temperature_K(setting: Setting, time_constant_s: float) -> FloatArray:
     column = known_column(setting, "temperature_degC")
     if column is not None:
         return column
-    if time_constant_s not in setting.lags_K:  # a fit asks for the same one thousands of times
-        while len(setting.lags_K) >= _REMEMBERED:
-            del setting.lags_K[next(iter(setting.lags_K))]
-        goal = STANDARD_SWING_K * lit(setting)
-        seconds, period_s = setting.seconds, orbital_period_s(setting)
-        start, orbit = float(goal.mean()), setting.seconds <= period_s
-        if seconds[-1] >= period_s and np.count_nonzero(orbit) > 1:
-            kept = float(np.exp(-seconds[orbit][-1] / time_constant_s))
-            end = float(relax(seconds[orbit], goal[orbit], time_constant_s, start=start)[-1])
-            start = (end - kept * start) / (1.0 - kept)
-        setting.lags_K[time_constant_s] = relax(seconds, goal, time_constant_s, start=start)
-    return setting.lags_K[time_constant_s]
+    return setting.once(("temperature_K", time_constant_s), partial(_lag_K, setting, time_constant_s))
+
+
+def _lag_K(setting: Setting, time_constant_s: float) -> FloatArray:
+    goal = STANDARD_SWING_K * lit(setting)
+    seconds, period_s = setting.seconds, orbital_period_s(setting)
+    start, orbit = float(goal.mean()), setting.seconds <= period_s
+    if seconds[-1] >= period_s and np.count_nonzero(orbit) > 1:
+        kept = float(np.exp(-seconds[orbit][-1] / time_constant_s))
+        end = float(relax(seconds[orbit], goal[orbit], time_constant_s, start=start)[-1])
+        start = (end - kept * start) / (1.0 - kept)
+    return relax(seconds, goal, time_constant_s, start=start)
 
 
 def orbital_period_s(setting: Setting) -> float:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import partial, reduce
+from functools import cache, partial, reduce
 from itertools import combinations_with_replacement
 from typing import ClassVar, Literal, get_args
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.late import low_pass, restarts
@@ -30,6 +31,7 @@ _DEPTHS_NT = (500.0, 1000.0, 2000.0, 4000.0, 8000.0)
 """Further apart, a fit may begin where no reading is clipped, and stay there."""
 
 
+@cache
 def monomials(degree: int) -> tuple[str, ...]:
     """Names of the products of `degree` components: xx xy xz yy yz zz, or xxx xxy ... zzz."""
     return tuple("".join(letters) for letters in combinations_with_replacement("xyz", degree))
@@ -262,13 +264,20 @@ class AxisSkew(SignalEffect):
 def _later(signal: Signal, later_s: float) -> FloatArray:
     """(N, 3) by how much the reading changes in this time, along the orbit and by the body's turning."""
     setting, then = signal.setting, signal.sampled_later(later_s)
-    here_N_km, _, R_BN = setting.motion.at(signal.sample_offset_s)
-    fields = [
-        field_N_nT(setting.model, epoch.add_seconds(setting.time[0], setting.seconds + offset_s), r_N_km)
-        for offset_s, r_N_km in ((then.sample_offset_s, then.r_N_km), (signal.sample_offset_s, here_N_km))
-    ]
-    own = signal.R_BN.apply(signal.ambient_N_nT + fields[0] - fields[1])
-    return in_reading(setting, np.asarray(then.R_BN.apply(R_BN.inv().apply(own))) - signal.field_B_nT)
+    before_N_nT, from_given = signal.of_ambient("as given", partial(_as_given, signal))  # however much later
+    after_N_nT = _modelled_N_nT(setting, then.sample_offset_s, then.r_N_km)
+    own = signal.R_BN.apply(signal.ambient_N_nT + after_N_nT - before_N_nT)
+    return in_reading(setting, np.asarray(then.R_BN.apply(from_given.apply(own))) - signal.field_B_nT)
+
+
+def _as_given(signal: Signal) -> tuple[FloatArray, Rotation]:
+    """The field of the model at the position given for the moment of sampling (N, 3), and R_NB of the attitude given."""
+    r_N_km, _, R_BN = signal.setting.motion.at(signal.sample_offset_s)
+    return _modelled_N_nT(signal.setting, signal.sample_offset_s, r_N_km), R_BN.inv()
+
+
+def _modelled_N_nT(setting: Setting, offset_s: float | FloatArray, r_N_km: FloatArray) -> FloatArray:
+    return field_N_nT(setting.model, epoch.add_seconds(setting.time[0], setting.seconds + offset_s), r_N_km)
 
 
 @dataclass(frozen=True)

@@ -30,8 +30,7 @@ Direction = Literal["simulate", "predict"]
 Made = TypeVar("Made")
 
 _BESIDE_S = 0.05  # to either side of a moment, for the body rate there: a spin of ten turns a second is still seen
-_REMEMBERED = 4
-_OF_AMBIENT_ROWS = 100_000  # remembered in all: a few megabytes
+_REMEMBERED_ROWS = 100_000  # in all: a few megabytes
 _NEWTON_STEPS = 8
 
 
@@ -117,21 +116,24 @@ class Setting:
     def rates(self, offset_s: float | FloatArray) -> tuple[FloatArray, FloatArray]:
         """Body rate relative to N (N, 3), components in B, and rate of change of the model field along the orbit (N, 3),
         GCRS, nT/s, both `offset_s` (or (N,)) after the stamps."""
-        key = np.asarray(offset_s).tobytes()
-        if key not in self._rates:
-            while len(self._rates) >= _REMEMBERED:
-                del self._rates[next(iter(self._rates))]
+
+        def made() -> tuple[FloatArray, FloatArray]:
             after, before = (
                 field_N_nT(
                     self.model, epoch.add_seconds(self.time[0], self.seconds + moment), self._position_N_km(moment)
                 )
                 for moment in (offset_s + 1.0, offset_s - 1.0)
             )
-            self._rates[key] = self.turning(offset_s), np.asarray((after - before) / 2.0)
-        return self._rates[key]
+            return self.turning(offset_s), np.asarray((after - before) / 2.0)
+
+        return self.once(("rates", np.asarray(offset_s).tobytes()), made)
+
+    def once(self, key: Hashable, make: Callable[[], Made]) -> Made:
+        """What `make` makes of the setting alone: once, of what was asked for last."""
+        return _once(self._made, self.time.size, key, make)
 
     @cached_property
-    def _rates(self) -> dict[bytes, tuple[FloatArray, FloatArray]]:
+    def _made(self) -> dict[Hashable, Any]:
         return {}
 
     def _position_N_km(self, offset_s: float | FloatArray) -> FloatArray:
@@ -165,19 +167,16 @@ class Setting:
 
     def turning(self, offset_s: float | FloatArray) -> FloatArray:
         """(N, 3) body rate relative to N, components in B, `offset_s` (or (N,)) after the stamps."""
-        after, before = self.track(offset_s + _BESIDE_S), self.track(offset_s - _BESIDE_S)
-        return np.asarray(-np.atleast_2d(frames.product(after, before.inv()).as_rotvec()) / (2.0 * _BESIDE_S))
+        from fluxtwin.sim.attitude.track_kernels import turn_between
+
+        after, before = (self.track(offset_s + by_s).as_quat() for by_s in (_BESIDE_S, -_BESIDE_S))
+        return np.asarray(-turn_between(np.atleast_2d(before), np.atleast_2d(after)) / (2.0 * _BESIDE_S))
 
     @cached_property
     def own_turn_N(self) -> Rotation | None:
         """What each row's given attitude adds to the track, R_BN = track own_turn_N; None where the motion is exact."""
         exact = self.direction == "simulate" or not isinstance(self.motion, RecordedMotion)
         return None if exact else frames.product(self.track(0.0).inv(), self.given[2])
-
-    @cached_property
-    def lags_K(self) -> dict[float, FloatArray]:
-        """By time constant [s], the temperatures (N,) that `effects.drivers` made of the sunlight, the latest few."""
-        return {}
 
     def column(self, name: str) -> FloatArray | None:
         return self.columns.get(name)
@@ -318,13 +317,7 @@ class Signal:
 
     def of_ambient(self, key: Hashable, make: Callable[[], Made]) -> Made:
         """What `make` makes of attitude and ambient field alone: once for all signals that have the same."""
-        known = self._of_ambient
-        if key not in known:
-            while known and len(known) * self.rows > _OF_AMBIENT_ROWS:
-                del known[next(iter(known))]
-            known[key] = make()
-        made: Made = known[key]
-        return made
+        return _once(self._of_ambient, self.rows, key, make)
 
     @property
     def spacecraft_B_nT(self) -> FloatArray:
@@ -349,6 +342,16 @@ class Signal:
         changed = object.__new__(Signal)
         changed.__dict__.update(self.__dict__, **values)
         return changed
+
+
+def _once(known: dict[Hashable, Any], rows: int, key: Hashable, make: Callable[[], Made]) -> Made:
+    """What is known by that key, or is made now, the oldest making room for it."""
+    if key not in known:
+        while known and len(known) * rows > _REMEMBERED_ROWS:
+            del known[next(iter(known))]
+        known[key] = make()
+    made: Made = known[key]
+    return made
 
 
 def start(setting: Setting) -> Signal:

@@ -15,7 +15,7 @@ from fluxtwin.sim.attitude import smoothed_track
 from fluxtwin.sim.attitude.gauss_markov import gauss_markov
 from fluxtwin.sim.attitude.recorded_motion import RecordedAttitudes, RecordedMotion, carried
 from fluxtwin.sim.attitude.smoothed_track import smoothed
-from fluxtwin.sim.attitude.track_kernels import blended, turned
+from fluxtwin.sim.attitude.track_kernels import blended, turn_between, turned
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import epoch
 from fluxtwin.sim.earth.orbit import Orbit
@@ -466,12 +466,36 @@ def test_what_is_blended_is_on_the_short_way() -> None:
 
 
 def test_a_turn_by_rates_is_the_product_of_its_steps() -> None:
-    """Against scipy's rotations, one after the other: exp of the mean rate and of the commutator of both points of Gauss."""
+    """Against scipy's rotations, one after the other: exp of the mean rate and of the commutator of both points of Gauss.
+
+    The rates are steady from shortly before one of these points to the next; before the first as at the first.
+    """
     rng = np.random.default_rng(8)
-    rates, step = rng.normal(0.0, 0.05, (3, 2, 40, 3)), rng.uniform(-5.0, 5.0, 40)
+    rates, after, start = rng.normal(0.0, 0.05, (3, 2, 40, 3)), rng.uniform(-5.0, 5.0, 40), 20.0 * np.arange(40.0)
+    step, sides = after / 3, np.array([-0.5, 0.5]) / np.sqrt(3.0)
+    moments = start + step * (np.arange(3)[:, None] + 0.5 + sides)[:, :, None]
+    order = np.argsort(moments.ravel())
+    breaks, pieces = moments.ravel()[order] - 1e-3, rates.reshape(-1, 3)[order]
+    breaks[0] += 2e-3
     whole = Rotation.identity(40)
     for first, second in rates:
         bent = np.sqrt(3.0) / 12.0 * (step**2)[:, None] * np.cross(second, first)
         whole = Rotation.from_rotvec(-0.5 * step[:, None] * (first + second) + bent) * whole
-    assert (Rotation.from_quat(turned(rates, step)) * whole.inv()).magnitude().max() < 1e-14
-    assert (Rotation.from_quat(turned(rates[:, ::-1].copy(), step)) * whole.inv()).magnitude().max() > 1e-3
+
+    def missed(pieces: FloatArray) -> float:
+        found = turned(breaks, pieces, start, after, 3)
+        return float((Rotation.from_quat(found) * whole.inv()).magnitude().max())
+
+    assert missed(pieces[None]) < 1e-14
+    slope = np.stack([np.zeros_like(pieces), pieces])
+    slope[0] = 0.01
+    slope[1] -= 0.01 * (moments.ravel()[order] - breaks)[:, None]  # the same at the points of Gauss, but for the first
+    slope[:, 0] = [[0.0] * 3, pieces[0]]
+    assert missed(slope) < 1e-14
+    assert missed(np.roll(pieces, 1, axis=0)[None]) > 1e-3
+
+
+def test_the_turn_between_two_attitudes_is_the_short_way() -> None:
+    first, second = Rotation.random(50, random_state=5), Rotation.random(50, random_state=6)
+    found = turn_between(first.as_quat(), -second.as_quat())
+    assert np.allclose(found, (second * first.inv()).as_rotvec(), atol=1e-12)

@@ -157,3 +157,16 @@ def test_a_batch_is_its_rows(close):
             unit="disc",
             because="the sun's spline, 1e-3 km",
         )
+
+
+def test_stamps_a_little_later_are_on_the_same_grid():
+    calls = []
+
+    def slow(days):
+        calls.append(days.size)
+        return np.stack([np.sin(days), days], axis=1)
+
+    days = np.linspace(3.02, 4.01, 10_000)
+    for later in (0.0, 0.01, 0.02):
+        np.testing.assert_allclose(on_grid(days + later, slow, 0.1), slow(days + later), atol=5.0 / 384.0 * 0.1**4)
+    assert sum(size < days.size for size in calls) == 1

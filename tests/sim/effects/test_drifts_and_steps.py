@@ -16,8 +16,10 @@ from fluxtwin.sim.base.errors import BadInput
 from fluxtwin.sim.base.types import FloatArray
 from fluxtwin.sim.earth import epoch, frames, sun
 from fluxtwin.sim.earth.constants import GM_EARTH_KM3_S2
+from fluxtwin.sim.earth.field import field_N_nT
 from fluxtwin.sim.earth.field_models import load_field
 from fluxtwin.sim.earth.orbit import Orbit
+from fluxtwin.sim.effects import response
 from fluxtwin.sim.effects.base import SignalEffect
 from fluxtwin.sim.effects.calibration import LinearDrift, MountingStep, TurningStep
 from fluxtwin.sim.effects.chain import Chain, jacobian
@@ -64,6 +66,16 @@ def test_an_axis_read_a_row_later_reads_what_the_next_row_has(close: Close) -> N
     assert np.abs(skewed[:-1, 1] - plain.reading_nT()[:-1, 1]).max() > 100.0
     wrong = np.roll(plain.reading_nT()[:, 1], 1)
     assert np.abs(skewed[inside, 1] - wrong[inside]).max() > 100.0
+
+
+def test_where_a_record_is_given_the_model_is_asked_once_for_all_axes(monkeypatch: pytest.MonkeyPatch) -> None:
+    plain, asked = chain(), []
+    late = [(TimeTagOffset(), np.array([3.0]))]
+    plain.reading_nT(late)
+    monkeypatch.setattr(response, "field_N_nT", lambda *given: asked.append(given) or field_N_nT(*given))
+    for dt_y, dt_z in ((0.1, 0.2), (0.1, 0.3), (0.4, 0.0)):
+        plain.reading_nT([*late, (AxisSkew(), np.array([dt_y, dt_z]))])
+    assert len(asked) == 1 + 4  # there, and where each delay leads
 
 
 def test_the_lag_of_one_axis_is_that_axis_of_the_common_lag() -> None:

@@ -461,3 +461,17 @@ def test_nonlinearity_is_given_at_50_000_nT(close: Callable[..., None]) -> None:
         change = CubicNonlinearity().apply(signal, theta).reading - signal.reading
         expected = np.array([10.0 * product * (axis == name[2]) for axis in "xyz"])
         close(change, expected, atol=1e-9, unit="nT", because="by hand")
+
+
+def test_what_a_field_follows_is_worked_out_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Until so much else was asked for that there is no room for it."""
+    asked, values = [], SolarArrayCurrent.values
+    monkeypatch.setattr(SolarArrayCurrent, "values", lambda self, setting: asked.append(self) or values(self, setting))
+    chain = spinning(np.arange(60_000.0))
+    for size in (10.0, 20.0):
+        for panel in ("constant", "cosine"):
+            chain.reading_nT([(SolarArrayCurrent(panel), np.full(3, size))])
+    assert [one.panel for one in asked] == ["constant", "cosine"]
+    chain.setting.once("something else", lambda: None)
+    chain.reading_nT([(SolarArrayCurrent("constant"), np.full(3, 30.0))])
+    assert [one.panel for one in asked] == ["constant", "cosine", "constant"]

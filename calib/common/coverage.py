@@ -183,5 +183,5 @@ def _to_halve(inverse: FloatArray, more: FloatArray, row: FloatArray) -> float |
     wanted = 0.25 * float(row @ np.linalg.solve(inverse, row))
     t = np.geomspace(_SHORTEST, _LONGEST, 400).tolist()
     # More data never widen a sigma: what is reached once stays reached.
-    place = bisect_left(t, True, key=lambda x: row @ np.linalg.solve(inverse + x * more, row) <= wanted)
+    place = bisect_left(t, True, key=lambda x: bool(row @ np.linalg.solve(inverse + x * more, row) <= wanted))
     return t[place] if place < len(t) else None

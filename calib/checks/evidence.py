@@ -10,6 +10,7 @@ the predictions alone (marginal likelihood: Rasmussen and Williams, Gaussian Pro
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -117,7 +118,8 @@ def compare(
     best = np.full(count, -np.inf)
     misfit, coefficients = np.zeros(count), np.zeros((X.shape[1], count))
     for number, covariance in enumerate(_covariances(seconds, lever, n, d)):
-        factor = cholesky(covariance, lower=True, check_finite=False)
+        # Its transpose, which is the same, has the order that LAPACK wants.
+        factor = cholesky(covariance.T, lower=True, overwrite_a=True, check_finite=False)
         whitened = solve_triangular(factor, both, lower=True, check_finite=False)
         Xw, Yw = whitened[:, : X.shape[1]], whitened[:, X.shape[1] :]
         # The normal equations in the axes where the prior is one and the design is diagonal.
@@ -136,18 +138,21 @@ def compare(
     return Evidence(best, misfit, coefficients)
 
 
-def _covariances(seconds: FloatArray, lever: FloatArray | None, n: int, d: int) -> list[FloatArray]:
-    """Shapes of the covariance of the errors, the white one first."""
-    white = np.eye(n * d)
-    shapes = [white]
+def _covariances(seconds: FloatArray, lever: FloatArray | None, n: int, d: int) -> Iterator[FloatArray]:
+    """Shapes of the covariance of the errors, each an array of its own; the white one first."""
+    yield np.eye(n * d)
     for memory in _MEMORIES_S:
         ou = np.exp(-np.abs(seconds[:, None] - seconds) / memory)
         slow = np.kron(ou, np.eye(d))
+        sizes = _SLOW_SIZES if lever is None else _SLOW
+        slower = [np.eye(n * d) + size**2 * slow for size in sizes]
         if lever is None:
-            shapes += [white + size**2 * slow for size in _SLOW_SIZES]
+            yield from slower
             continue
         b = lever / np.sqrt(np.mean(np.sum(lever**2, axis=1)))
         turns = np.einsum("ij,kl->ikjl", b @ b.T, np.eye(3)) - np.einsum("jk,il->ikjl", b, b)
         turn = (turns * ou[:, None, :, None]).reshape(n * d, n * d)
-        shapes += [white + a**2 * slow + c**2 * turn for a in _SLOW for c in _TURNS if a or c]
-    return shapes
+        turned = [size**2 * turn for size in _TURNS]
+        pairs = itertools.product(slower, turned)
+        next(pairs)  # neither slow nor turned: the white one again
+        yield from (errors + of_turns for errors, of_turns in pairs)

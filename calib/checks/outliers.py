@@ -214,8 +214,9 @@ def robust_fit(X: FloatArray, y: FloatArray, sigmas: FloatArray | None = None) -
     fit = np.linalg.lstsq(X, y, rcond=1e-10)[0]
     for _ in range(12):
         left = np.abs(y - X @ fit)
-        weight = 1.0 / np.sqrt(np.maximum(left, 0.1 * np.median(left) + 1e-12))
-        rows = np.concatenate([X * weight[:, None], np.sqrt(np.median(left)) * prior])
+        middle = np.median(left)
+        weight = 1.0 / np.sqrt(np.maximum(left, 0.1 * middle + 1e-12))
+        rows = np.concatenate([X * weight[:, None], np.sqrt(middle) * prior])
         fit = np.linalg.lstsq(rows, np.concatenate([y * weight, nothing]), rcond=1e-10)[0]
     return np.asarray(fit)
 

@@ -326,10 +326,12 @@ def drops_of(gram: FloatArray, fixed: int, beyond: FloatArray) -> FloatArray:
     G = gram / np.outer(scale, scale)
     left = G[fixed:, fixed:] - G[fixed:, :fixed] @ np.linalg.pinv(G[:fixed, :fixed], hermitian=True) @ G[:fixed, fixed:]
     squares, found = np.diag(left)[-targets:] * scale[-targets:] ** 2 + beyond, []
-    for k, at in enumerate(range(0, len(left) - targets, 3)):
-        own, of = slice(at, at + 3), 0 if targets == 1 else 1 + k
-        y = left[own, of - targets]
-        explained = y @ np.linalg.pinv(left[own, own], rcond=_LEAST_LEFT, hermitian=True) @ y
+    starts = range(0, len(left) - targets, 3)
+    own_of = np.array([left[at : at + 3, at : at + 3] for at in starts]).reshape(-1, 3, 3)
+    for k, inverse in enumerate(np.linalg.pinv(own_of, rcond=_LEAST_LEFT, hermitian=True)):
+        of = 0 if targets == 1 else 1 + k
+        y = left[starts[k] : starts[k] + 3, of - targets]
+        explained = y @ inverse @ y
         found.append(explained * scale[of - targets] ** 2 + squares[0] - squares[of])
     return np.array(found)
 

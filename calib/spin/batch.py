@@ -94,8 +94,10 @@ def normal_equations(state: State, rows: SpinRows, noise: Noise, prior: Prior | 
     N[:7, 7:10] = w * X.sum(axis=0).T
     N[:7, 10:] = w * np.einsum("nim,nj->mij", X, y).reshape(7, 9)
     N[7:10, 7:10] = w * len(y) * np.eye(3)
-    N[7:10, 10:] = w * np.kron(np.eye(3), y.sum(axis=0))
-    N[10:, 10:] = w * np.kron(np.eye(3), y.T @ y)
+    first, second = w * y.sum(axis=0), w * (y.T @ y)
+    for i in range(3):
+        N[7 + i, 10 + 3 * i : 13 + 3 * i] = first
+        N[10 + 3 * i : 13 + 3 * i, 10 + 3 * i : 13 + 3 * i] = second
     v[:7] = w * r.ravel() @ X.reshape(-1, 7) + w_sun * r_sun.ravel() @ X_sun
     v[7:10], v[10:] = w * r.sum(axis=0), w * (r.T @ y).ravel()
     field, suns = w * float((r**2).sum()), w_sun * float((r_sun**2).sum())

@@ -86,8 +86,8 @@ class SpinMotion(NamedTuple):
         by_axes = (none, u2, -u1), (-u2, none, u0), (u1, -u0, none)  # u x axis
         for k, axis in enumerate(np.eye(3)):
             _turn_into(out[k], c, s, by_axes[k])
-            across = np.cross(n, axis)
-            turned = [t_s * a - slow * b + fast * d for a, b, d in zip(axis, across, np.cross(n, across), strict=True)]
+            across = _cross(n, axis)
+            turned = [t_s * a - slow * b + fast * d for a, b, d in zip(axis, across, _cross(n, across), strict=True)]
             _turn_into(out[3 + k], c, s, (np.stack(_cross(v, turned), axis=1) @ self.A0.T).T)
         out[6, 0], out[6, 1] = y[:, 1] * t_s, -y[:, 0] * t_s
         return y, np.ascontiguousarray(out.transpose(2, 1, 0))

@@ -144,13 +144,14 @@ def _axes(rows: SpinRows, true_side: FloatArray) -> list[FloatArray]:
     q = q + weight * rows.sun_N.T @ rows.sun_B[:, 2]
     minima: list[tuple[float, FloatArray]] = []
     grid = np.array([[i, j, k] for i in (-1, 0, 1) for j in (-1, 0, 1) for k in (-1, 0, 1) if i or j or k], dtype=float)
+    steepest = np.trace(Q)
     for start in grid:
-        v = start / np.linalg.norm(start)
+        v = start / np.sqrt(start @ start)
         for _ in range(200):
-            slope = Q @ v - q
-            new = v - slope / np.trace(Q)
-            new = new / np.linalg.norm(new)
-            if float(np.linalg.norm(new - v)) < 1e-9:
+            new = v - (Q @ v - q) / steepest
+            new = new / np.sqrt(new @ new)
+            moved = new - v
+            if moved @ moved < 1e-18:
                 break
             v = new
         cost = float(v @ Q @ v - 2.0 * q @ v)

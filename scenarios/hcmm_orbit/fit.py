@@ -268,14 +268,14 @@ def first_guess(passes: tuple[Pass, ...]) -> tuple[float, float, float]:
 def _scores(axis_km: float, seconds: FloatArray, up: FloatArray, later: FloatArray) -> FloatArray:
     """(nodes, latitudes) mean distance from the horizon in deg, passes that set instead of rising counted as lost."""
     horizon = float(np.degrees(np.arccos(EARTH_RADIUS_KM / axis_km)))
-    now = _from_horizon(axis_km, seconds, up)
-    then = _from_horizon(axis_km, seconds + _LATER_S, later)
-    distance = np.minimum(np.abs(now - horizon), _MOST_DEG)
-    return np.asarray(np.where(then < now, distance, _MOST_DEG).mean(axis=-1))
+    now = _cosines(axis_km, seconds, up)
+    then = _cosines(axis_km, seconds + _LATER_S, later)
+    distance = np.minimum(np.abs(np.degrees(np.arccos(np.clip(now, -1.0, 1.0))) - horizon), _MOST_DEG)
+    return np.asarray(np.where(then > now, distance, _MOST_DEG).mean(axis=-1))
 
 
-def _from_horizon(axis_km: float, seconds: FloatArray, up: FloatArray) -> FloatArray:
-    """(nodes, latitudes, P) angle at the Earth's centre between satellite and station [deg]."""
+def _cosines(axis_km: float, seconds: FloatArray, up: FloatArray) -> FloatArray:
+    """(nodes, latitudes, P) cosine of the angle at the Earth's centre between satellite and station."""
     inclination = np.radians(INCLINATION_DEG)
     rates = orbital_rates(axis_km, 0.0, float(inclination))
     node = np.radians(_ANGLES_DEG)[:, None] + rates.raan_rad_s * seconds[None, :]
@@ -283,5 +283,4 @@ def _from_horizon(axis_km: float, seconds: FloatArray, up: FloatArray) -> FloatA
     cn, sn, ci, si = np.cos(node), np.sin(node), np.cos(inclination), np.sin(inclination)
     along = up[:, 0] * cn + up[:, 1] * sn
     across = ci * (-up[:, 0] * sn + up[:, 1] * cn) + si * up[:, 2]
-    cosine = along[:, None, :] * np.cos(u)[None, :, :] + across[:, None, :] * np.sin(u)[None, :, :]
-    return np.asarray(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
+    return np.asarray(along[:, None, :] * np.cos(u)[None, :, :] + across[:, None, :] * np.sin(u)[None, :, :])

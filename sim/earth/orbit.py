@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -93,7 +94,7 @@ class Orbit:
             _tilt(in_plane_rate, self.inclination_rad),
         )
         r_T_km, v_T_km_s = _turn(tilted, tilted_rate, node, rates.raan_rad_s)
-        to_date = frames.rotation_TN(self.epoch_utc).as_matrix()[0]
+        to_date = _to_date(self.epoch_utc)
         return r_T_km @ to_date, v_T_km_s @ to_date
 
     def _in_perifocal_plane(self, anomaly: FloatArray, rate: float) -> tuple[FloatArray, FloatArray]:
@@ -106,6 +107,12 @@ class Orbit:
         position = np.stack([a * (cos_E - e), b * sin_E, zero], axis=1)
         velocity = np.stack([-a * sin_E * E_rate, b * cos_E * E_rate, zero], axis=1)
         return position, velocity
+
+
+@lru_cache(maxsize=64)
+def _to_date(epoch_utc: np.datetime64) -> FloatArray:
+    """(3, 3) GCRS to true equator and equinox of date; a search for elements asks for that of one epoch again and again."""
+    return np.asarray(frames.rotation_TN(epoch_utc).as_matrix()[0])
 
 
 def kepler_period_s(r_km: FloatArray, v_km_s: FloatArray) -> float:

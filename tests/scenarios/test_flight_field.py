@@ -9,6 +9,7 @@ import shutil
 from collections.abc import Callable
 from datetime import datetime
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -25,10 +26,10 @@ from fluxtwin.scenarios.flight_field.study import (
     statistics,
 )
 from fluxtwin.scenarios.flights import Numbers
+from fluxtwin.scenarios.page import StudyResult
 from fluxtwin.scenarios.recorded_files import check_folder, read_settings
 from fluxtwin.sim.base.errors import BadInput, OutOfRange
 from fluxtwin.sim.base.files import to_json
-from fluxtwin.sim.base.progress import silent
 from fluxtwin.sim.earth import epoch, frames
 from fluxtwin.sim.earth.field import field_NEC_nT, load_field
 
@@ -49,9 +50,33 @@ def flight(shared: Path) -> Path:
     return folder
 
 
+@dataclasses.dataclass(frozen=True)
+class Ran:
+    """What a run of the study computed, gave back and wrote."""
+
+    outcome: Numbers
+    result: StudyResult
+    folder: Path
+
+
 @pytest.fixture(scope="module")
-def outcome(flight: Path) -> Numbers:
-    return study.compute(flight, SETTINGS, silent)
+def ran(flight: Path, tmp_path_factory: pytest.TempPathFactory) -> Ran:
+    settings, compute, present = study.run.args
+    computed = []
+
+    def kept(*given: Any) -> Numbers:
+        computed.append(compute(*given))
+        return computed[-1]
+
+    folder = tmp_path_factory.mktemp("ran")
+    result = study.run.func(settings, kept, present, folder, flight)
+    (outcome,) = computed
+    return Ran(outcome, result, folder)
+
+
+@pytest.fixture(scope="module")
+def outcome(ran: Ran) -> Numbers:
+    return ran.outcome
 
 
 @pytest.fixture(scope="module")
@@ -226,10 +251,10 @@ def test_the_index_is_not_stretched_over_days(flight: Path) -> None:
         rc.at(np.array(["2015-12-31T22:00"], "datetime64[ns]"))
 
 
-def test_the_study_reports_what_it_found(flight: Path, tmp_path: Path) -> None:
-    result = study.run(tmp_path, flight)
-    assert [path.name for path in tmp_path.iterdir()] == ["flight_field.toml"]
-    assert read_settings(tmp_path / "flight_field.toml").tree == SETTINGS.tree
+def test_the_study_reports_what_it_found(ran: Ran, monkeypatch: pytest.MonkeyPatch) -> None:
+    result = ran.result
+    assert [path.name for path in ran.folder.iterdir()] == ["flight_field.toml"]
+    assert read_settings(ran.folder / "flight_field.toml").tree == SETTINGS.tree
     summary = json.loads(to_json(result.summary))
     status = {figure["id"]: figure["status"] for figure in summary["figures"]}
     assert status == {name: "differs" if name in DIFFERS else "reproduced" for name in FIGURES}
@@ -237,7 +262,9 @@ def test_the_study_reports_what_it_found(flight: Path, tmp_path: Path) -> None:
     assert result.page is not None
     blocks = [block for section in result.page.sections for block in section.figures]
     assert {block.name for block in blocks} >= {"magsat_map", "magsat_series", "swarm_map", "swarm_series"}
-    assert all(len(png_bytes(block.figure)) > 20_000 for block in blocks)
+    drawn = {block.figure: png_bytes(block.figure) for block in blocks}
+    assert all(len(png) > 20_000 for png in drawn.values())
+    monkeypatch.setattr("fluxtwin.report.png_bytes", lambda figure: drawn.get(figure) or png_bytes(figure))
     html = render_report(result.page).replace("\N{NO-BREAK SPACE}", " ")
     assert "23 of 24" in html
     assert "[nT]" in html

@@ -61,6 +61,7 @@ class Structure:
         """
         if not self.rank:
             return self.worth / wider
+        wider = 1.0 + (wider - 1.0) * min(1.0, SHAPE_DIRECTIONS / self.rank)  # shape errors have no more in more directions
         drop = self.drop / wider
         return max(
             worth(drop, self.rank, samples, self.log_tried),

@@ -32,7 +32,7 @@ from fluxtwin.gap.noise.choice import (
     whitener_of,
 )
 from fluxtwin.gap.problem.problem import Problem
-from fluxtwin.gap.selection.criterion import LOG_FURTHER, SHAPE, THRESHOLD, penalty, worth_of_shape
+from fluxtwin.gap.selection.criterion import LOG_FURTHER, SHAPE, SHAPE_DIRECTIONS, THRESHOLD, penalty, worth_of_shape
 from fluxtwin.gap.selection.forward import Parameters, Search, begin, run, without
 from fluxtwin.gap.selection.refit import Fit, Readings
 from fluxtwin.gap.selection.score import Board
@@ -197,7 +197,7 @@ def weighed(
         # What one more name takes away whole is in its direction alone.
         whole = place < len(one_more) and one_more[place] and not lefts[place + 1].structured
         seen = max(beyond[place], left.drop) if whole else beyond[place]
-        shaped = names + worth_of_shape(seen, explained[place], alone=whole)
+        shaped = names + worth_of_shape(seen, explained[place], SHAPE_DIRECTIONS if whole else max(left.rank, 1))
         worth = max(shaped, names + gained[place]) - gained[0]
         unknown = -np.inf
         if left.structured and not left.of_named and left.beyond(wider, samples) > LOG_FURTHER:

@@ -44,19 +44,15 @@ def weight_of(worse: ArrayLike) -> FloatArray:
     return np.asarray(np.exp(-0.5 * np.clip(worse, -100.0, 1400.0)))
 
 
-def worth_of_shape(drop: float, explained: float, *, alone: bool) -> float:
+def worth_of_shape(drop: float, explained: float, directions: int) -> float:
     """Twice the log of the Bayes factor that what causes leave is their shape error, against noise.
 
-    drop: of chi-square, by what the causes leave; explained: by the causes. alone: what they leave lies in one direction,
-    and the others hold nothing. An error of the shape has a variance in all of `SHAPE_DIRECTIONS` and would have been seen
-    in the others: so the evidence of all of them counts, at the likeliest variance. Where the others are not known to be
-    empty, only that direction counts.
+    drop: of chi-square, by what the causes leave, in so many directions; explained: by the causes. An error of the shape has
+    a variance in all of `SHAPE_DIRECTIONS`, and would have been seen in those that hold nothing too: where they are known to
+    be empty they count. The variance is the likeliest.
     """
-    most = SHAPE * explained
-    if not alone:
-        return drop * most / (1.0 + most)
-    variance = float(np.clip(drop / SHAPE_DIRECTIONS - 1.0, 0.0, most))
-    return float(drop * variance / (1.0 + variance) - SHAPE_DIRECTIONS * np.log1p(variance))
+    variance = float(np.clip(drop / directions - 1.0, 0.0, SHAPE * explained))
+    return float(drop * variance / (1.0 + variance) - directions * np.log1p(variance))
 
 
 def still_known(known: float, log_ratio: float) -> float:

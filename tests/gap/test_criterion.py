@@ -86,8 +86,8 @@ def test_a_shape_error_in_one_direction_alone_is_weighed_by_the_emptiness_of_the
     seen[0] = np.sqrt(drop)
     variances = np.linspace(0.0, SHAPE * explained, 2001)[:, None]
     logs = 2.0 * np.sum(norm.logpdf(seen, scale=np.sqrt(1.0 + variances)) - norm.logpdf(seen), axis=1)
-    assert worth_of_shape(drop, explained, alone=True) == pytest.approx(logs.max(), rel=1e-4, abs=1e-9)
-    assert worth_of_shape(drop, explained, alone=False) >= logs.max()
+    assert worth_of_shape(drop, explained, SHAPE_DIRECTIONS) == pytest.approx(logs.max(), rel=1e-4, abs=1e-9)
+    assert worth_of_shape(drop, explained, 1) >= logs.max()
 
 
 @pytest.mark.parametrize(("found", "structured", "names"), [(108.0, False, 2), (180.0, False, 1), (108.0, True, 1)])

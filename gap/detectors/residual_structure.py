@@ -26,7 +26,7 @@ from fluxtwin.gap.linear.projection import (
     projected_out,
 )
 from fluxtwin.gap.problem.problem import Problem
-from fluxtwin.gap.selection.criterion import SHAPE_DIRECTIONS, THRESHOLD, worth
+from fluxtwin.gap.selection.criterion import SHAPE_DIRECTIONS, THRESHOLD, of_shape, worth
 from fluxtwin.sim.base.types import FloatArray
 
 PARTS = (2, 5)
@@ -53,15 +53,15 @@ class Structure:
     def structured(self) -> bool:
         return self.worth > THRESHOLD
 
-    def beyond(self, wider: float, samples: float) -> float:
-        """Worth where noise and shape error together have so many times the variance of the noise.
+    def beyond(self, explained: float, samples: float) -> float:
+        """Worth beside the shape error of causes that explain so much of chi-square.
 
         By its direction, the best of those tried; or by its size, beyond what shape errors have in all of theirs: of these,
         other than of the noise, none was looked for.
         """
+        wider = 1.0 + of_shape(explained, max(self.rank, 1))
         if not self.rank:
             return self.worth / wider
-        wider = 1.0 + (wider - 1.0) * min(1.0, SHAPE_DIRECTIONS / self.rank)  # shape errors have no more in more directions
         drop = self.drop / wider
         return max(
             worth(drop, self.rank, samples, self.log_tried),

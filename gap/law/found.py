@@ -173,7 +173,7 @@ class _Search:
         columns_nT = problem.derivatives(fit.active)
         weighed = self.weighed(residual_nT, columns_nT, len(terms))
         left = projected(whitener, residual_nT, columns_nT)
-        wider, samples = 1.0 + SHAPE * weighed.explained, left.degrees / 3.0
+        samples = left.degrees / 3.0
         own = fit.jacobian[:, :, fit.jacobian.shape[2] - 3 * len(terms) :]
         gap = self._held_out(whitener, choice, residual_nT, columns_nT)
         record = self._record(fit, terms, gap, alike)
@@ -191,7 +191,7 @@ class _Search:
             fit.modelled,
             tuple(tuple(words.with_names(alike)) if number == 0 else () for number in range(len(terms))),
             whitener,
-            not (rest.structured and rest.beyond(wider, samples) > LOG_FURTHER),
+            not (rest.structured and rest.beyond(weighed.explained, samples) > LOG_FURTHER),
             weighed,
         )
 

@@ -193,15 +193,15 @@ def weighed(
     for place, ((fit, beside), left) in enumerate(zip(path, lefts, strict=True)):
         if place:
             names = _worth_of_names(under_way, fit, names if one_more[place - 1] else None, path[place - 1][0])
-        wider = 1.0 + SHAPE * explained[place]
         # What one more name takes away whole is in its direction alone.
         whole = place < len(one_more) and one_more[place] and not lefts[place + 1].structured
         seen = max(beyond[place], left.drop) if whole else beyond[place]
         shaped = names + worth_of_shape(seen, explained[place], SHAPE_DIRECTIONS if whole else max(left.rank, 1))
         worth = max(shaped, names + gained[place]) - gained[0]
         unknown = -np.inf
-        if left.structured and not left.of_named and left.beyond(wider, samples) > LOG_FURTHER:
-            unknown = shaped + left.beyond(wider, samples) - LOG_FURTHER - gained[0]
+        apart = left.beyond(explained[place], samples) if left.structured and not left.of_named else -np.inf
+        if apart > LOG_FURTHER:
+            unknown = shaped + apart - LOG_FURTHER - gained[0]
         found.append(Explanation(fit, beside, left, worth, unknown))
     return found
 

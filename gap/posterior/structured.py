@@ -42,7 +42,7 @@ from fluxtwin.gap.posterior.explanations import (
     without_names,
 )
 from fluxtwin.gap.problem.problem import Problem
-from fluxtwin.gap.selection.criterion import IN_GROUP, LOG_FURTHER, SHAPE, THRESHOLD, samples_of, worth
+from fluxtwin.gap.selection.criterion import IN_GROUP, LOG_FURTHER, THRESHOLD, samples_of, worth
 from fluxtwin.gap.selection.forward import LARGEST
 from fluxtwin.sim.base.types import BoolArray, FloatArray
 from fluxtwin.sim.effects.calibration import Step
@@ -313,7 +313,7 @@ class Structured:
             return 0.0
         alone = projected(whitener, result.residual_alone_nT, without_names(self.problem, answer))
         explained = max(alone.energy - projected(whitener, result.residual_nT, answer.fitted_nT).energy, 0.0)
-        beyond = line.beyond(1.0 + SHAPE * explained, samples_of(whitener.measured))
+        beyond = line.beyond(explained, samples_of(whitener.measured))
         return float(expit(0.5 * (LOG_FURTHER - beyond)))
 
 

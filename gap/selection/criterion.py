@@ -44,6 +44,12 @@ def weight_of(worse: ArrayLike) -> FloatArray:
     return np.asarray(np.exp(-0.5 * np.clip(worse, -100.0, 1400.0)))
 
 
+def of_shape(explained: float, directions: int) -> float:
+    """Variance of the shape error of causes that explain so much, in each of so many directions: in more than
+    `SHAPE_DIRECTIONS` there is no more of it."""
+    return SHAPE * explained * min(1.0, SHAPE_DIRECTIONS / directions)
+
+
 def worth_of_shape(drop: float, explained: float, directions: int) -> float:
     """Twice the log of the Bayes factor that what causes leave is their shape error, against noise.
 
@@ -51,7 +57,7 @@ def worth_of_shape(drop: float, explained: float, directions: int) -> float:
     a variance in all of `SHAPE_DIRECTIONS`, and would have been seen in those that hold nothing too: where they are known to
     be empty they count. The variance is the likeliest.
     """
-    variance = float(np.clip(drop / directions - 1.0, 0.0, SHAPE * explained))
+    variance = float(np.clip(drop / directions - 1.0, 0.0, of_shape(explained, directions)))
     return float(drop * variance / (1.0 + variance) - directions * np.log1p(variance))
 
 

@@ -22,6 +22,7 @@ from fluxtwin.gap.selection.criterion import (
     SHAPE,
     SHAPE_DIRECTIONS,
     THRESHOLD,
+    of_shape,
     penalty,
     still_known,
     worth,
@@ -62,19 +63,28 @@ def test_noise_alone_is_seldom_worth_the_threshold() -> None:
 def test_what_the_shape_error_may_make_is_worth_nothing() -> None:
     """A finding of 30 standard deviations, beside a cause whose shape error may have 40 times the noise's variance."""
     left = Structure(worth=860.0, drop=900.0, kind="block", words="", rank=3, log_tried=5.0)
-    assert left.beyond(1.0, 700.0) == worth(900.0, 3, 700.0, 5.0) > THRESHOLD
-    assert left.beyond(41.0, 700.0) < THRESHOLD
-    assert worth(900.0 / 41.0, 3, 700.0, 5.0) == left.beyond(41.0, 700.0)
+    assert left.beyond(0.0, 700.0) == worth(900.0, 3, 700.0, 5.0) > THRESHOLD
+    assert left.beyond(40.0 / SHAPE, 700.0) < THRESHOLD
+    assert worth(900.0 / 41.0, 3, 700.0, 5.0) == left.beyond(40.0 / SHAPE, 700.0)
 
 
 def test_more_than_shape_errors_have_in_all_directions_is_worth_something_wherever_it_lies() -> None:
     """With 16 times the noise's variance in fifteen directions, 714 may lie in the best of many directions, but is thrice
     what all fifteen together have: one in 10,000 (chi-square of 15, 44)."""
     left = Structure(worth=618.0, drop=714.0, kind="block", words="", rank=12, log_tried=8.0)
-    assert worth(714.0 / 16.0, 12, 700.0, 8.0) < THRESHOLD < left.beyond(16.0, 700.0)
+    assert worth(714.0 / 16.0, 12, 700.0, 8.0) < THRESHOLD < left.beyond(15.0 / SHAPE, 700.0)
     once = dataclasses.replace(left, drop=15.0 * 16.0)
-    assert once.beyond(16.0, 700.0) < THRESHOLD  # as much as they have on average
-    assert left.beyond(1.0, 700.0) == worth(714.0, 12, 700.0, 8.0)  # against noise, the search counts in full
+    assert once.beyond(15.0 / SHAPE, 700.0) < THRESHOLD  # as much as they have on average
+    assert left.beyond(0.0, 700.0) == worth(714.0, 12, 700.0, 8.0)  # against noise, the search counts in full
+
+
+def test_a_shape_error_has_no_more_energy_in_more_directions() -> None:
+    """Of 15 directions each has 16 times the noise's variance; of 150, which hold the same energy, 2.5 times."""
+    assert [n * of_shape(15.0 / SHAPE, n) for n in (5, 15, 150)] == pytest.approx([75.0, 225.0, 225.0])
+    left = Structure(worth=700.0, drop=900.0, kind="block", words="", rank=150, log_tried=5.0)
+    assert (
+        left.beyond(15.0 / SHAPE, 700.0) == worth(900.0 / 2.5, 150, 700.0, 5.0) > worth(900.0 / 16.0, 150, 700.0, 5.0)
+    )
 
 
 @pytest.mark.parametrize(("drop", "explained"), [(100.0, 1e4), (3600.0, 1.3e5), (10.0, 1e4)])

@@ -81,9 +81,9 @@ def test_more_than_shape_errors_have_in_all_directions_is_worth_something_wherev
 def test_a_shape_error_has_no_more_energy_in_more_directions() -> None:
     """Of 15 directions each has 16 times the noise's variance; of 150, which hold the same energy, 2.5 times."""
     assert [n * of_shape(15.0 / SHAPE, n) for n in (5, 15, 150)] == pytest.approx([75.0, 225.0, 225.0])
-    left = Structure(worth=700.0, drop=900.0, kind="block", words="", rank=150, log_tried=5.0)
+    left = Structure(worth=700.0, drop=900.0, kind="block", words="", rank=150)
     assert (
-        left.beyond(15.0 / SHAPE, 700.0) == worth(900.0 / 2.5, 150, 700.0, 5.0) > worth(900.0 / 16.0, 150, 700.0, 5.0)
+        left.beyond(15.0 / SHAPE, 700.0) == worth(900.0 / 2.5, 150, 700.0, 0.0) > worth(900.0 / 16.0, 150, 700.0, 0.0)
     )
 
 

@@ -135,10 +135,12 @@ def test_every_column_and_setting_is_counted() -> None:
 def test_columns_that_cannot_be_distinguished_are_one_group() -> None:
     record, _ = driven()
     payload, noise = record.drivers["payload"], stream(3, "test.twin").normal(size=len(record))
-    both = {"payload": payload, "twin": 5.0 - 2.0 * payload + 1e-3 * noise, "bus": record.drivers["bus"]}
+    twins = {"payload": payload, "twin": 5.0 - 2.0 * payload + 1e-3 * noise, "bus": record.drivers["bus"]}
+    both = {**twins, "transmitter": record.drivers["transmitter"]}
     found = diagnose(record.replace(drivers=both), load_field(), budget=BUDGET)
-    first = found.effects[0]
-    assert set(first.group) == {"driver.payload", "driver.twin"}
+    assert set(found.effects[0].group) == {"driver.payload", "driver.twin"}
+    # The other field is half as large: without its column it is more than an error of the shape of this one.
+    assert diagnose(record.replace(drivers=twins), load_field(), budget=BUDGET).verdict == "unknown"
 
 
 def test_a_modelled_driver_is_no_gap_and_one_without_its_column_is_refused() -> None:

@@ -29,6 +29,7 @@ from fluxtwin.sim.earth.field import field_N_nT
 from fluxtwin.sim.earth.field_models import load_field
 from fluxtwin.sim.effects.ambient_field import RingCurrent
 from fluxtwin.sim.effects.calibration import Bias, ScaleMisalignment
+from fluxtwin.sim.effects.spacecraft_field import EddyCurrent
 from fluxtwin.sim.telemetry.netcdf_files import NetcdfFile
 
 pytestmark = pytest.mark.reference
@@ -297,7 +298,8 @@ def test_sizes_that_no_spacecraft_has_are_said(quick: Numbers) -> None:
     answer = quick.answers["aircraft-eddy_current"]
     (effect,) = answer.found.effects
     assert at_the_end(effect) == ""
-    ended = effect.parameters | {"K_xx": dataclasses.replace(effect.parameters["K_xx"], value=1.0)}
+    most = EddyCurrent.parameters[0].high
+    ended = effect.parameters | {"K_xx": dataclasses.replace(effect.parameters["K_xx"], value=most)}
     assert at_the_end(dataclasses.replace(effect, parameters=ended)) == "K_xx at the end of the physical range"
 
 

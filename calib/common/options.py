@@ -140,15 +140,16 @@ class Options:
     def __post_init__(self) -> None:
         for item in fields(self):
             option, choices, value = OPTIONS[item.name], self.choices.get(item.name), getattr(self, item.name)
+            flag = f"--{item.name.replace('_', '-')}"
             if choices:
                 value = str(value).replace(" ", "")
                 object.__setattr__(self, item.name, value)
                 if value not in choices:
                     whose = "" if item.name == "method" else f" with method {self.method}"
                     wanted = " or ".join(filter(None, choices)) + whose
-                    raise BadInput(f"{value!r} is no {option.noun}", where=f"--{item.name}", wanted=wanted)
+                    raise BadInput(f"{value!r} is no {option.noun}", where=flag, wanted=wanted)
             elif value is not None and not option.allowed(value):
-                raise BadInput(f"{value!r}", where=f"--{item.name.replace('_', '-')}", wanted=option.wanted)
+                raise BadInput(f"{value!r}", where=flag, wanted=option.wanted)
 
 
 @dataclass(frozen=True, kw_only=True)

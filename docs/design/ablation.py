@@ -73,7 +73,10 @@ RULES: dict[str, dict[str, Any]] = {
     "noise of the other explanations": {
         f"{GAP}.posterior.explanations._gained": lambda _, fits, *__: [0.0] * len(fits)
     },
-    "variance of the shape": {f"{GAP}.posterior.explanations.SHAPE": 0.0},
+    "variance of the shape": {
+        f"{GAP}.posterior.explanations.SHAPE": 0.0,
+        f"{GAP}.selection.criterion.SHAPE": 0.0,
+    },
     "a random walk": {f"{GAP}.posterior.structured.Structured._walking": _none},
     "errors in an image, given back": {f"{GAP}.selection.refit.Readings.blur": _none},
     "structure: drift": {f"{GAP}.detectors.residual_structure.drift": lambda _: (0.0, 0.0)},
@@ -81,9 +84,12 @@ RULES: dict[str, dict[str, Any]] = {
     "structure: places": {f"{GAP}.hypotheses.blocks.regions": lambda _: ()},
     "a walk beside a name": {f"{GAP}.posterior.structured._with_rival": _none},
     "a walk beside all names but a step": {
-        f"{GAP}.posterior.structured.Structured._without_a_step": lambda *given: iter([given[2:]])
+        f"{GAP}.posterior.structured.Structured._where_it_walks": lambda *given: iter([given[2:]])
     },
-    "companions of a wheel's line": {f"{GAP}.posterior.structured.companion": _no},
+    "multiples of a wheel's line": {
+        f"{GAP}.{place}.multiples": lambda setting, _: np.zeros((setting.seconds.size, 3, 0))
+        for place in ("posterior.explanations", "posterior.structured", "detectors.lines")
+    },
     "a region": {f"{GAP}.posterior.structured.switched_region": _none},
     "S set anew beside the names": {f"{GAP}.diagnose._beside_the_names": lambda problem, _: problem},
     "white noise of each axis": {f"{GAP}.noise.choice._axis_factor": lambda *given: given[2]},
@@ -98,14 +104,13 @@ RULES: dict[str, dict[str, Any]] = {
     "data quieter than their noise model": {f"{GAP}.selection.score._QUIETEST": 0.0},
     "check: a walk that comes back": {f"{GAP}.detectors.random_walk._COME_BACK": ()},
     "check: a step of a walk that stands out": {f"{GAP}.detectors.random_walk._one_stands_out": _no},
-    "check: a walk that jumps": {f"{GAP}.detectors.random_walk.jumps": _no},
     "check: a line that is linearly polarised": {f"{GAP}.detectors.lines._linear": _no},
     "check: a line that changes": {
         f"{GAP}.detectors.lines.varies": _no_faults,
         f"{GAP}.detectors.lines.stands_out": _no,
     },
     "check: a block does as well": {
-        f"{GAP}.detectors.{name}.does_as_well": _no_faults for name in ("lines", "switched")
+        f"{GAP}.detectors.{name}.does_as_well": _no_faults for name in ("lines", "switched_region")
     },
     "check: an irregular thermostat": {f"{GAP}.detectors.thermostat._regularity": lambda *_: 0.0},
     "check: a thermostat that is a line": {f"{GAP}.detectors.thermostat.stands_out": _no},

@@ -28,7 +28,8 @@ from fluxtwin.sim.effects.spacecraft_field import WheelField
 from fluxtwin.sim.telemetry.record import Telemetry
 
 MOST_ROWS_FAST = 60_000
-"""Of the stretch: its Jacobians, their whitened and orthonormal copies take about a third of a gigabyte."""
+"""Of the stretch: its Jacobians, their whitened and orthonormal copies take about a third of a gigabyte, and as much
+again where a wheel is named."""
 
 
 @dataclass(frozen=True)

@@ -73,8 +73,8 @@ def projected_white(whitener: Whitens, white: FloatArray, columns: FloatArray) -
 
 
 def left_beside(whitener: Whitens, white: FloatArray, columns: FloatArray, likely: FloatArray) -> ProjectedResidual:
-    """As `projected_white`, less the likeliest combination of further columns (N, 3, p) whose coefficients are of order one:
-    known before to a standard deviation of 1, beside unit noise."""
+    """As `projected_white`, less the likeliest combination of further columns (N, 3, p), whose coefficients have a prior
+    standard deviation of 1, beside unit noise."""
     left = projected_white(whitener, white, columns)
     free = projected_out(left.basis, likely.reshape(left.residual.size, -1))
     size = np.linalg.solve(free.T @ free + np.eye(free.shape[1]), free.T @ left.residual)

@@ -109,10 +109,10 @@ class Structured:
         residual, columns, left = result.residual_nT, answer.fitted_nT, answer.left
         if bare:
             residual, columns = result.residual_alone_nT, without_names(self.problem, answer)
+        fitted_too = [*result.modelled, *signals_of(answer.shapes), *(() if bare else result.chosen)]
+        columns = np.concatenate([columns, multiples(self.problem.setting, (one for one, _ in fitted_too))], axis=2)
+        if bare:
             left = residual_structure(self.problem, whitener, residual, columns, self.dictionary)
-        else:
-            wheels = [effect for effect, _ in (*signals_of(answer.shapes), *result.chosen)]
-            columns = np.concatenate([columns, multiples(self.problem.setting, wheels)], axis=2)
         proposed = self._proposed(whitener, residual, columns, left)
         return next((one for one in proposed if one is not None and one.confirmed), None)
 

@@ -220,6 +220,7 @@ def _conclude(work: Work) -> _Conclusion:
 
     unknown = work.known < 0.5 and work.attitude_would_do_rad is None
     unexplained = (not named and (unknown or bool(answer.result.named))) or momentum.unexplained
+    unexplained = unexplained or (answer.left.of_named and not effects)  # of a wheel that is modelled
     excess = None
     stays = any(one.name != "bit_errors" for one in work.flexible)  # a named noise, walk or line stays in the residual
     if not unexplained and not stays:

@@ -168,11 +168,9 @@ def named(
 
 def remains(left: Structure) -> str:
     """What does beside named effects, where their shape is incomplete."""
-    return (
-        f"{left.words}, a multiple of the wheel's turning, remains"
-        if left.of_named
-        else "some smaller structure remains"
-    )
+    if left.of_named:
+        return f"{left.words} remains, at a multiple or a simple fraction of the wheel's frequency"
+    return "some smaller structure remains"
 
 
 def not_tested(names: Sequence[str]) -> str:

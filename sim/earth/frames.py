@@ -238,7 +238,7 @@ def on_grid(days: FloatArray, function: Callable[[FloatArray], FloatArray], step
 
 @lru_cache(maxsize=8)
 def _spline(function: Callable[[FloatArray], FloatArray], first: int, nodes: int, step_days: float) -> Any:
-    """Through `nodes` whole multiples of the step from the `first` on: stamps that are a little later are on the same."""
+    """Through `nodes` whole multiples of the step from the `first` on, which records that start a little later share."""
     from scipy.interpolate import CubicSpline  # here: it takes a fifth of a second to load
 
     grid: FloatArray = step_days * np.arange(first, first + nodes, dtype=np.float64)

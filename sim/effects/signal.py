@@ -129,7 +129,7 @@ class Setting:
         return self.once(("rates", np.asarray(offset_s).tobytes()), made)
 
     def once(self, key: Hashable, make: Callable[[], Made]) -> Made:
-        """What `make` makes of the setting alone: once, of what was asked for last."""
+        """What `make` makes of the setting alone: once, as long as it is among what was asked for lately."""
         return _once(self._made, self.time.size, key, make)
 
     @cached_property
@@ -345,12 +345,14 @@ class Signal:
 
 
 def _once(known: dict[Hashable, Any], rows: int, key: Hashable, make: Callable[[], Made]) -> Made:
-    """What is known by that key, or is made now, the oldest making room for it."""
-    if key not in known:
+    """What is known by that key, or is made now; what was not asked for longest makes room for it."""
+    if key in known:
+        made: Made = known.pop(key)
+    else:
         while known and len(known) * rows > _REMEMBERED_ROWS:
             del known[next(iter(known))]
-        known[key] = make()
-    made: Made = known[key]
+        made = make()
+    known[key] = made
     return made
 
 

@@ -320,6 +320,10 @@ class Driver(SpacecraftField):
         return signal if values is None else signal.with_stray(values[:, None] * theta)
 
 
+MULTIPLES = (2.0, 3.0, 4.0, 5.0, 6.0, 0.5, 1.0 / 3.0)
+"""Of the frequency of a wheel, at which it may have a field too."""
+
+
 @dataclass(frozen=True)
 class WheelField(SpacecraftField):
     """Field of a dipole that rotates with a wheel.
@@ -378,14 +382,14 @@ class WheelField(SpacecraftField):
         return None if varies(phase) else "the wheel never turns"
 
     def multiples(self, setting: Setting) -> FloatArray:
-        """(N, 3, 42) cosines and sines of the multiples of the phase that the same wheel may have as well.
+        """(N, 3, k) cosines and sines of the multiples of the phase that the same wheel may have as well.
 
         The rotor of a wheel has more poles than two, and its motor and bearings turn in fixed ratios to it.
         """
         phase = self.phase_rad(setting)
         if phase is None:
             return np.zeros((setting.seconds.size, 3, 0))
-        phases = phase[:, None] * np.array([2.0, 3.0, 4.0, 5.0, 6.0, 0.5, 1.0 / 3.0])
+        phases = phase[:, None] * np.array(MULTIPLES)
         waves = np.concatenate([np.cos(phases), np.sin(phases)], axis=1)
         return np.asarray(np.kron(waves[:, None, :], np.eye(3)))
 
@@ -421,7 +425,7 @@ class EddyCurrent(SpacecraftField):
         "(Landau & Lifshitz, Electrodynamics of Continuous Media, section 59)"
     )
 
-    # At the most that of a massive sphere of aluminium of one metre, at its surface: its currents have the moment
+    # At most that of a solid sphere of aluminium, one metre in radius, at its surface: its currents have the moment
     # 2 pi sigma a^5 / 15 dB/dt, with the field mu_0 sigma a^2 / 15 = 3.2 s on its axis (Landau & Lifshitz, section 59).
     parameters = vector_parameters("K", "s", 0.05, -3.2, 3.2, axes=("xx", "yy", "xy", "xz", "yz"))
 

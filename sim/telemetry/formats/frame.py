@@ -80,10 +80,11 @@ def of_pandas(frame: Any, where: str = "DataFrame") -> Table:
         twice = frame.columns[frame.columns.duplicated()][0]
         raise BadInput(f"column {clip(twice)} is there twice", where=where, wanted="every name once")
     timed = frame.get("time")
-    if timed is None and "time" in frame.index.names:  # stamps of any type, and one level of several
-        frame = frame.reset_index("time")
+    usual = isinstance(frame.index, pd.DatetimeIndex)
+    if timed is None and not usual and "time" in frame.index.names:  # stamps of any type, and one level of several
+        frame = frame.reset_index("time")  # older pandas copies the frame here
         timed = frame["time"]
-    if isinstance(frame.index, pd.DatetimeIndex) and timed is None:
+    if usual and timed is None:
         timed = frame.index.to_series()
         columns["time"] = _stamps(timed, "time", where)
     for name in frame.columns:

@@ -183,14 +183,11 @@ def weighed(
     samples = under_way.samples
     explained = [max(path[0][0].chi2 - fit.chi2, 0.0) for fit, _ in path]
     beyond = [left.drop if left.structured else 0.0 for left in lefts]
-    directions = [max(left.rank, 1) if left.structured else 0 for left in lefts]
     one_more = [_added(under_way.one_cause, one, more) == 1 for (one, _), (more, _) in pairwise(path)]
     for place in reversed(range(len(one_more))):
         # What one more name explains is better known by its refit than by the finding that led to it.
         further = explained[place + 1] - explained[place] + beyond[place + 1]
-        if one_more[place] or further > beyond[place]:
-            rank = path[place + 1][0].rank_chosen - path[place][0].rank_chosen
-            beyond[place], directions[place] = further, max(rank, 1) + directions[place + 1]
+        beyond[place] = further if one_more[place] else max(beyond[place], further)
     found: list[Explanation] = []
     names = 0.0
     for place, ((fit, beside), left) in enumerate(zip(path, lefts, strict=True)):
@@ -199,9 +196,7 @@ def weighed(
         # What one more name takes away whole is in its direction alone.
         whole = place < len(one_more) and one_more[place] and not lefts[place + 1].structured
         seen = max(beyond[place], left.drop) if whole else beyond[place]
-        shaped = names + worth_of_shape(
-            seen, explained[place], SHAPE_DIRECTIONS if whole else max(directions[place], 1)
-        )
+        shaped = names + worth_of_shape(seen, explained[place], SHAPE_DIRECTIONS if whole else max(left.rank, 1))
         worth = max(shaped, names + gained[place]) - gained[0]
         unknown = -np.inf
         apart = left.beyond(explained[place], samples) if left.structured and not left.of_named else -np.inf

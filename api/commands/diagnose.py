@@ -106,10 +106,8 @@ def command(
 
 def _correct(telemetry: Path, close: Path | None, reading: of.Reading) -> str:
     """The command that corrects the readings with a closed scenario."""
-    closed, out = (
-        shlex.quote(str(close or "CLOSED.toml")),
-        shlex.quote(of.proposed_name(telemetry, reading, "corrected", ".nc")),
-    )
+    closed = shlex.quote(str(close or "CLOSED.toml"))
+    out = shlex.quote(of.proposed_name(telemetry, reading, "corrected", ".nc"))
     named = " ".join(filter(None, (shlex.quote(str(telemetry)), reading.of_all_rows.words)))
     return f"fluxtwin apply {named} --scenario {closed} --out {out}"
 

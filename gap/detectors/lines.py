@@ -21,7 +21,6 @@ from fluxtwin.gap.noise.choice import RobustRows, Whitener, noise_of, whitener_o
 from fluxtwin.gap.problem.problem import Problem, pose, realigned
 from fluxtwin.gap.selection.criterion import THRESHOLD
 from fluxtwin.sim.base.types import FloatArray
-from fluxtwin.sim.effects.base import Effect
 from fluxtwin.sim.effects.chain import Active
 from fluxtwin.sim.effects.signal import Setting
 from fluxtwin.sim.effects.spacecraft_field import WheelField
@@ -30,6 +29,8 @@ from fluxtwin.sim.telemetry.record import Telemetry
 MOST_ROWS_FAST = 60_000
 """Of the stretch: its Jacobians, their whitened and orthonormal copies take about a third of a gigabyte, and as much
 again where a wheel is named."""
+MULTIPLES = (2.0, 3.0, 4.0, 5.0, 6.0, 0.5, 1.0 / 3.0)
+"""Of the frequency of a wheel, at which it may have a field too."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +71,10 @@ def independent_frequencies(seconds: FloatArray) -> float:
 
 def line_columns(seconds: FloatArray, frequency_Hz: float) -> FloatArray:
     """(N, 3, 6) cosine and sine in each axis: columns x cos, y cos, z cos, x sin, y sin, z sin."""
-    phase_rad = 2 * np.pi * frequency_Hz * seconds
+    return _waves(2 * np.pi * frequency_Hz * seconds)
+
+
+def _waves(phase_rad: FloatArray) -> FloatArray:
     return in_body(np.stack([np.cos(phase_rad), np.sin(phase_rad)], axis=1))
 
 
@@ -147,9 +151,13 @@ def _of_the_orbit(setting: Setting, frequency_Hz: float) -> bool:
     return abs(cycles - float(np.clip(np.rint(cycles), 1.0, 4.0))) < 1.0 / orbits
 
 
-def multiples(setting: Setting, effects: Iterable[Effect]) -> FloatArray:
-    """(N, 3, k) lines that the wheels among effects may have besides their own: none of them is a second wheel."""
-    found = [one.multiples(setting) for one in effects if isinstance(one, WheelField)]
+def multiples(setting: Setting, active: Iterable[Active]) -> FloatArray:
+    """(N, 3, k) lines that the wheels among effects may have besides their own: none of them is a second wheel.
+
+    The rotor of a wheel has more poles than two, and its motor and bearings turn in fixed ratios to it.
+    """
+    phases = [one.phase_rad(setting) for one, _ in active if isinstance(one, WheelField)]
+    found = [_waves(ratio * phase) for phase in phases if phase is not None for ratio in MULTIPLES]
     return np.concatenate([np.zeros((setting.seconds.size, 3, 0)), *found], axis=2)
 
 
@@ -180,10 +188,11 @@ def full_rate(
     near = _stretch(whole, problem, modelled, chosen)
     residual = near.residual_of([*modelled, *chosen])
     fitted = near.derivatives([*modelled, *chosen])
-    signals = [effect for effect, _ in (*modelled, *chosen)]
     noise, robust = noise_of(near, residual, [fitted])
     whitener = whitener_of(near, noise, robust.weights)
-    left = projected(whitener, residual, np.concatenate([fitted, multiples(near.setting, signals)], axis=2))
+    left = projected(
+        whitener, residual, np.concatenate([fitted, multiples(near.setting, [*modelled, *chosen])], axis=2)
+    )
     line = strongest_line(near.setting.seconds, left)
     return FullRate(near, robust, whitener, residual, fitted, left, line)
 

@@ -307,8 +307,7 @@ def structures_left(under_way: Search[Readings], fits: Sequence[Fit], dictionary
     rests = [left_beside(whitener, fit.residual, *both) for fit, *both in zip(fits, images, changes, strict=True)]
     lefts = [judge(problem, *one, 1.0) for one in zip(rests, dictionary.fits_each(rests), owns, strict=True)]
     for place, (fit, own) in enumerate(zip(fits, owns, strict=True)):
-        lines = multiples(problem.setting, [effect for effect, _ in fit.active])
-        if lefts[place].kind == "tone" and lines.size:
+        if lefts[place].kind == "tone" and (lines := multiples(problem.setting, fit.active)).size:
             image = np.concatenate([images[place], whitener.apply(lines)], axis=2)
             rest = left_beside(whitener, fit.residual, image, changes[place])
             past = judge(problem, rest, dictionary.fits(rest), own, 1.0)

@@ -110,7 +110,7 @@ class Structured:
         if bare:
             residual, columns = result.residual_alone_nT, without_names(self.problem, answer)
         fitted_too = [*result.modelled, *signals_of(answer.shapes), *(() if bare else result.chosen)]
-        columns = np.concatenate([columns, multiples(self.problem.setting, (one for one, _ in fitted_too))], axis=2)
+        columns = np.concatenate([columns, multiples(self.problem.setting, fitted_too)], axis=2)
         if bare:
             left = residual_structure(self.problem, whitener, residual, columns, self.dictionary)
         proposed = self._proposed(whitener, residual, columns, left)

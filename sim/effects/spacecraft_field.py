@@ -320,10 +320,6 @@ class Driver(SpacecraftField):
         return signal if values is None else signal.with_stray(values[:, None] * theta)
 
 
-MULTIPLES = (2.0, 3.0, 4.0, 5.0, 6.0, 0.5, 1.0 / 3.0)
-"""Of the frequency of a wheel, at which it may have a field too."""
-
-
 @dataclass(frozen=True)
 class WheelField(SpacecraftField):
     """Field of a dipole that rotates with a wheel.
@@ -380,18 +376,6 @@ class WheelField(SpacecraftField):
         if phase is None:
             return "the telemetry has no wheel speed; only a line in the residual can show it"
         return None if varies(phase) else "the wheel never turns"
-
-    def multiples(self, setting: Setting) -> FloatArray:
-        """(N, 3, k) cosines and sines of the multiples of the phase that the same wheel may have as well.
-
-        The rotor of a wheel has more poles than two, and its motor and bearings turn in fixed ratios to it.
-        """
-        phase = self.phase_rad(setting)
-        if phase is None:
-            return np.zeros((setting.seconds.size, 3, 0))
-        phases = phase[:, None] * np.array(MULTIPLES)
-        waves = np.concatenate([np.cos(phases), np.sin(phases)], axis=1)
-        return np.asarray(np.kron(waves[:, None, :], np.eye(3)))
 
     def apply(self, signal: Signal, theta: FloatArray) -> Signal:
         phase = self.phase_rad(signal.setting, signal.sample_offset_s)

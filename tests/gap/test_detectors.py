@@ -15,7 +15,7 @@ from fluxtwin.gap.detectors import lines, thermostat
 from fluxtwin.gap.detectors import switched_region as regions
 from fluxtwin.gap.detectors.codes import coarse_steps, flipped_bits, hidden_flips, noise_level, repeats_with, stuck_bit
 from fluxtwin.gap.detectors.finding import Finding
-from fluxtwin.gap.detectors.lines import multiples, strongest_line, wheel_line
+from fluxtwin.gap.detectors.lines import MULTIPLES, multiples, strongest_line, wheel_line
 from fluxtwin.gap.detectors.random_walk import modes_of_a_walk, random_walk
 from fluxtwin.gap.detectors.residual_structure import drift, judge
 from fluxtwin.gap.detectors.switched_region import _Place, _place, _snug, switched_region
@@ -31,7 +31,7 @@ from fluxtwin.gap.selection.criterion import THRESHOLD
 from fluxtwin.sim.earth.field_models import load_field
 from fluxtwin.sim.earth.frames import from_geocentric
 from fluxtwin.sim.effects.digits import ExcessNoise
-from fluxtwin.sim.effects.spacecraft_field import MULTIPLES, WheelField
+from fluxtwin.sim.effects.spacecraft_field import WheelField
 from fluxtwin.sim.effects.switched_field import HeaterSwitching, SwitchedField
 from fluxtwin.sim.run.simulate import simulate
 from fluxtwin.sim.scenario.scenario import parse_scenario
@@ -465,7 +465,7 @@ def test_a_multiple_of_a_wheel_is_no_second_wheel(bench: Bench) -> None:
     t = setting.seconds
     noise = SIGMA_NT * np.random.default_rng(31).standard_normal((t.size, 3))
     named = WheelField(frequency_Hz=0.004)
-    fitted = np.concatenate([bench.calibration, multiples(setting, [named])], axis=2)
+    fitted = np.concatenate([bench.calibration, multiples(setting, [(named, np.zeros(6))])], axis=2)
     for ratio in (*MULTIPLES, 2.325):
         phase = 2 * np.pi * 0.004 * ratio * t
         line = np.outer(np.cos(phase), [60.0, 0.0, 30.0]) + np.outer(np.sin(phase), [0.0, 50.0, -20.0])

@@ -95,17 +95,21 @@ def same(one: fluxtwin.Telemetry, other: fluxtwin.Telemetry, relative: float = 0
     assert one.spacecraft == other.spacecraft
 
 
-@pytest.mark.parametrize("ending", [".xlsx", ".parquet"])
+@pytest.fixture(params=[("openpyxl", ".xlsx"), ("pyarrow", ".parquet")], ids=[".xlsx", ".parquet"])
+def ending(request: pytest.FixtureRequest) -> str:
+    """Of a kind of file that an extra reads; pyarrow is large, and not installed with the tests."""
+    needed, ending = request.param
+    pytest.importorskip(needed, reason=f"the extra fluxtwin[{ending[1:]}] is not installed")
+    return str(ending)
+
+
 def test_a_record_comes_back_whole(record: fluxtwin.Telemetry, tmp_path: Path, ending: str) -> None:
-    pytest.importorskip({".xlsx": "openpyxl", ".parquet": "pyarrow"}[ending])
     found = fluxtwin.read(fluxtwin.write(record, tmp_path / f"t{ending}"))
     assert "sheets was read" not in str(found.provenance)
     same(record, found, relative=1e-14 if ending == ".xlsx" else 0.0)  # a workbook has decimals, of 15 or 16 digits
 
 
-@pytest.mark.parametrize("ending", [".xlsx", ".parquet"])
 def test_a_damaged_file_is_named(tmp_path: Path, ending: str) -> None:
-    pytest.importorskip({".xlsx": "openpyxl", ".parquet": "pyarrow"}[ending])
     (tmp_path / f"t{ending}").write_bytes(b"PK\x03\x04 nothing")
     with pytest.raises(BadInput, match="cannot be read as"):
         fluxtwin.read(tmp_path / f"t{ending}")
@@ -128,10 +132,8 @@ def test_a_frame_that_cannot_be_meant_is_refused(frame: pd.DataFrame, said: str)
         fluxtwin.read(frame)
 
 
-@pytest.mark.parametrize("ending", [".xlsx", ".parquet"])
 def test_a_row_of_units_is_named_whatever_reads_it(record: fluxtwin.Telemetry, tmp_path: Path, ending: str) -> None:
     """As the CSV says it, to `read` and to `draft_map`."""
-    pytest.importorskip({".xlsx": "openpyxl", ".parquet": "pyarrow"}[ending])
     frame = pd.read_csv(fluxtwin.write(record, tmp_path / "t.csv"), dtype=str)
     units = pd.DataFrame([{name: name.rpartition("_")[2] for name in frame}])
     path = tmp_path / f"t{ending}"
